@@ -209,7 +209,7 @@ class Table:
         from errpipe.kernels import table_codes, table_cycle
         from errpipe.tables import limits, pack
 
-        if not unlimited and (wide := limits.without(self.table)):
+        if not unlimited and (wide := limits.without_limits(self.table)):
             raise VerifyError(
                 f"{wide} is corrected without magnitude or slew, or beyond 10 mm or 10 mm/s (allow it: unlimited=True)"
             )

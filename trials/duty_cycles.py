@@ -50,7 +50,7 @@ def after_each(cycles: DutyCycles, judged: Sequence[int], choose: Callable[[list
     out = []
     for _ in range(runs):
         done.append(choose(done))
-        mean = cycles.learn(done).mean
+        mean = cycles.fit(done).mean
         out.append(np.sqrt(np.mean([cycles.left(r, mean) ** 2 for r in judged])))
     return np.array(out)
 
@@ -66,7 +66,7 @@ def trial(recording: Recording, component: str, pool: Sequence[str], seed: int, 
     stops: list[int] = []
 
     def best(done: list[int]) -> int:
-        known = cycles.learn(done)
+        known = cycles.fit(done)
         after = {r: cycles.expected(known, [r]) for r in free if r not in done}
         run = min(after, key=lambda r: after[r])
         if cycles.expected(known) ** 2 - after[run] ** 2 <= threshold**2:

@@ -64,7 +64,7 @@ def outcome(name: str, protocol: str, seed: int) -> Outcome:
     how = {"modes": 12, "without": [], "lasers": {}, "squares": {}}
     document = summary.document(fitted, obs, extra=False) | {"procedure": how}
     try:
-        axes = gate.pass_gate(document, [gate.judged(machine, document, tests)])
+        axes = gate.pass_gate(document, [gate.cross_validate(machine, document, tests)])
     except GateError:
         axes = ()
     factors = gate.compensated(document, chain)
@@ -76,7 +76,9 @@ def outcome(name: str, protocol: str, seed: int) -> Outcome:
 def _measured(chain: Chain, values: metrology.Values, protocol: str, seed: int) -> Recording:
     if protocol == "direct":
         return direct_records.record(chain, values, direct_records.SetUp(noise=NOISE), seed)
-    return metrology.record(chain, values, protocol, measuring_runs.PROTOCOLS[protocol](chain), seed, noise=NOISE)
+    return metrology.simulate_runs(
+        chain, values, protocol, measuring_runs.PROTOCOLS[protocol](chain), seed, noise=NOISE
+    )
 
 
 def true_rms(

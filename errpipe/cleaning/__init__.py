@@ -15,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 
 from errpipe.cleaning._base import Action, ActionKind, Rule
-from errpipe.domain.recording import Column, Frozen, Recording
+from errpipe.domain.recording import Column, FrozenModel, Recording
 from errpipe.yamlfile import Choice
 
 # In the order in which they are applied where none is named: order of rows first, sensors before responses.
@@ -36,7 +36,7 @@ DEFAULT = by_default()
 WHOLE_RUN = "run_before_split"  # the group column that keeps the label of a run that was split
 
 
-class ActionRecord(Frozen):
+class ActionRecord(FrozenModel):
     """One action that was carried out. rows: half-open ranges of rows of the recording that came in."""
 
     what: ActionKind
@@ -46,7 +46,7 @@ class ActionRecord(Frozen):
     rows: tuple[tuple[int, int], ...] = ()
 
 
-class RuleReport(Frozen):
+class RuleReport(FrozenModel):
     """What one rule did. options: every option it ran with."""
 
     rule: str
@@ -54,7 +54,7 @@ class RuleReport(Frozen):
     done: tuple[ActionRecord, ...] = ()
 
 
-class CleaningReport(Frozen):
+class CleaningReport(FrozenModel):
     """Format version 1 of `cleaning.json`."""
 
     cleaning: int = 1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Listed, Scene
+from errpipe.diagnosis.evidence import ActiveColumns, Scene, ScoredHypotheses
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 
@@ -15,7 +15,7 @@ MOST = 3  # shapes accepted in addition to the named effects
 
 
 @dataclass(frozen=True)
-class Remainder:
+class AdmittedShapes:
     """Shapes accepted in addition to the chosen hypotheses.
 
     shapes: the accepted ones with their gains; rms: of the residual with them; share: of the variance that findings and
@@ -25,19 +25,19 @@ class Remainder:
     shapes: tuple[tuple[Shape, float], ...]
     rms: float
     share: float
-    active: Active  # nuisances, hypotheses, shapes, in this order
+    active: ActiveColumns  # nuisances, hypotheses, shapes, in this order
     taken: tuple[int, ...]
 
 
 def remainder(
     search: Search, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray], inputs: bool = False
-) -> Remainder:
+) -> AdmittedShapes:
     """Add shapes (inputs: over inputs only) greedily to the chosen hypotheses. index: their columns in the table."""
     named = scene = search.scene(chosen)
     taken: list[int] = []
     gains: list[float] = []
     active = search.active(chosen)
-    listed = Listed(index, [s.freedom for s in shapes], [i.size for i in index])
+    listed = ScoredHypotheses(index, [s.freedom for s in shapes], [i.size for i in index])
     for _ in range(MOST):
         gain, size, _core = scene.scores(listed)
         gain[taken + [k for k, s in enumerate(shapes) if inputs and not s.of_inputs]] = -np.inf
@@ -51,4 +51,4 @@ def remainder(
     everything = max(search.scene([]).rms() ** 2 - scene.rms() ** 2, 1e-12)
     share = float(np.clip((named.rms() ** 2 - scene.rms() ** 2) / everything, 0, 1))
     accepted = tuple((shapes[k], g) for k, g in zip(taken, gains, strict=True))
-    return Remainder(accepted, scene.rms(), share, active, tuple(taken))
+    return AdmittedShapes(accepted, scene.rms(), share, active, tuple(taken))

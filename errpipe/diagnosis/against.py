@@ -40,7 +40,7 @@ CHANGED: tuple[State, ...] = ("larger", "smaller", "gone", "reversed", "moved")
 
 
 @dataclass(frozen=True)
-class Held:
+class FindingComparison:
     """One earlier finding on the later recording. k: present over earlier size, with 95 % interval; p: of the test k=1.
 
     parameters: name, unit, earlier value and interval, present value (k times the earlier); empty if it moved.
@@ -71,7 +71,7 @@ class Held:
         return head | sizes | {"rms_left_um": self.left, "rms_left_then_um": self.left_then, "says": self.says}
 
 
-def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
+def against(recording: Recording, earlier: Diagnosis) -> list[FindingComparison]:
     """Every named finding of an earlier diagnosis, tested on a later recording of the same responses.
 
     Raises DataError if there is no named finding, or if the recording has none of the responses with its simulation.
@@ -81,7 +81,7 @@ def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
     if not count:
         raise DataError("against: the earlier diagnosis names no effect: there is nothing to look for")
     read = causal(in_order_of_time(recording))
-    out: list[Held] = []
+    out: list[FindingComparison] = []
     for r in earlier.responses:
         if named[r.component]:
             out += _response(read, r, named[r.component], LEVEL / count)
@@ -96,14 +96,14 @@ def _looked_for(r: ResponseDiagnosis) -> list[Finding]:
     return [f for f in (r.findings[:1] if alone else r.findings) if terms_of(f)]
 
 
-def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], level: float) -> list[Held]:
+def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], level: float) -> list[FindingComparison]:
     error, twin = read.name("error", component=r.component), read.name("simulated", component=r.component)
     if error is None or twin is None:
         return [_not_judged(r, f, "the recording has no recorded or no simulated column for it") for f in findings]
     if read.manifest.columns[error].unit != r.unit:
         return [_not_judged(r, f, f"recorded in {read.manifest.columns[error].unit}, then {r.unit}") for f in findings]
     mismatch = read.array(error) - read.array(twin)
-    done: dict[int, Held] = {}
+    done: dict[int, FindingComparison] = {}
     columns: dict[int, np.ndarray] = {}
     for k, f in enumerate(findings):
         try:
@@ -134,7 +134,7 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
             held = _judged(r, findings[k], float(k_now[j]), float(sd[j]), degrees, level)
             held = replace(held, state="moved", parameters=()) if moved else held
             done[k] = replace(held, left=left, left_then=r.rms_after_um, unit=r.unit)
-            done[k] = replace(done[k], says=_says(done[k]))
+            done[k] = replace(done[k], says=_sentence(done[k]))
     return [done[k] for k in range(len(findings))]
 
 
@@ -196,7 +196,7 @@ def sandwich(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> tuple[np
     return b / size, spread / np.outer(size, size), count - 1
 
 
-def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int, level: float) -> Held:
+def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int, level: float) -> FindingComparison:
     """State of one finding from its factor, the factor's standard deviation, and its earlier interval."""
     reach = student_quantile(0.975, degrees) * sd
     then = earlier_spread(f)
@@ -211,7 +211,7 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
     for q in _sizes(f):
         now = {"now": k * q.value, "now_ci95": sorted(((k - reach) * q.value, (k + reach) * q.value))}
         sizes.append({"name": q.name, "unit": q.unit, "then": q.value, "then_ci95": q.ci95} | now)
-    return Held(r.component, f.effect, state, "", k, (k - reach, k + reach), p, tuple(sizes))
+    return FindingComparison(r.component, f.effect, state, "", k, (k - reach, k + reach), p, tuple(sizes))
 
 
 def earlier_spread(f: Finding) -> float:
@@ -241,7 +241,7 @@ WORDS: dict[str, str] = {
 }
 
 
-def _says(h: Held) -> str:
+def _sentence(h: FindingComparison) -> str:
     name = h.effect.replace("_", " ")
     text = f"{h.component}: {name}: {WORDS[h.state]}"
     if h.parameters:
@@ -252,7 +252,7 @@ def _says(h: Held) -> str:
     return text
 
 
-def larger_residuals(held: list[Held]) -> list[str]:
+def larger_residuals(held: list[FindingComparison]) -> list[str]:
     """A sentence for each response whose residual, with the earlier findings fitted, has increased."""
     left = {h.component: h for h in held if h.left is not None and h.left_then is not None}
     return [
@@ -263,5 +263,7 @@ def larger_residuals(held: list[Held]) -> list[str]:
     ]
 
 
-def _not_judged(r: ResponseDiagnosis, f: Finding, why: str) -> Held:
-    return Held(r.component, f.effect, "not judged", f"{r.component}: {f.effect.replace('_', ' ')}: not judged: {why}")
+def _not_judged(r: ResponseDiagnosis, f: Finding, why: str) -> FindingComparison:
+    return FindingComparison(
+        r.component, f.effect, "not judged", f"{r.component}: {f.effect.replace('_', ' ')}: not judged: {why}"
+    )

@@ -117,7 +117,7 @@ def inner_values(finding: Finding, term: Term, recording: Recording, response: s
     return out
 
 
-def acting(finding: Finding, recording: Recording) -> np.ndarray:
+def activity(finding: Finding, recording: Recording) -> np.ndarray:
     """1 on rows where a finding acts, else 0, shape (rows,)."""
     masks: list[tuple] = [("runs", finding.where.runs)] if finding.where.runs else []
     masks += [("range", name, *limits) for name, limits in finding.where.ranges.items()]
@@ -161,7 +161,7 @@ def block_of(finding: Finding, recording: Recording, response: str) -> _Block:
     if not terms:
         raise LookupError(NO_TERM)
     inner = tuple(inner_values(finding, t, recording, response) for t in terms)
-    made = _Block(finding, terms, inner, acting(finding, recording))
+    made = _Block(finding, terms, inner, activity(finding, recording))
     made.columns(recording)
     return made
 
@@ -203,8 +203,8 @@ def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
     if f.effect != GAIN and not f.all_terms():
         return UNNAMED
     alone = f.empirical.share if f.empirical is not None and f is r.findings[0] else 0.0  # held-out rows prove it
-    if max(f.sure(), alone) < least:
-        return f"its confidence of {f.sure():.2f} is below {least:.2f}"
+    if max(f.group_confidence(), alone) < least:
+        return f"its confidence of {f.group_confidence():.2f} is below {least:.2f}"
     if f.effect != GAIN and r.holdout.rms_after_um >= r.holdout.rms_before_um:
         return "held-out rows are no better explained with it"
     return ""

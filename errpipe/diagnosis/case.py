@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.diagnosis import admit, hypotheses
 from errpipe.diagnosis import decompose as parts
-from errpipe.diagnosis.evidence import Active, Data, Scene
+from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene
 from errpipe.diagnosis.gains import Nuisance
 from errpipe.diagnosis.left_out import LeftOut
 from errpipe.diagnosis.prepare import Pair
@@ -32,7 +32,7 @@ class SetUp:
     run: np.ndarray
     data: Data
     prior: np.ndarray  # log prior odds of each hypothesis
-    nuisance: Active
+    nuisance: ActiveColumns
     nuisances: list[Nuisance]  # what each column represents
     recal: np.ndarray  # the nuisances' columns before whitening
     sizes: np.ndarray  # rms of the signal part of each; a coefficient divided by it is gain - 1
@@ -58,7 +58,7 @@ class Case(SetUp):
     search: Search = None  # type: ignore[assignment]
     explanation: Explanation = None  # type: ignore[assignment]
     sigma: float = 0.0
-    remainder: admit.Remainder = None  # type: ignore[assignment]
+    remainder: admit.AdmittedShapes = None  # type: ignore[assignment]
     held: Any = None  # figures of the hold-out (`holdout.HeldOut`), once computed
 
     def chosen(self) -> list[tuple[int, float]]:
@@ -91,7 +91,7 @@ def needs_recalibration(case: Case) -> bool:
     full = case.search.active(case.chosen())
     kept = np.ones(full.index.size, dtype=bool)
     kept[: len(case.nuisances)] = [n.kind == "noise" for n in case.nuisances]
-    scene = Scene(case.search.data, Active(full.index[kept], full.sd[kept]), case.search.noise)
+    scene = Scene(case.search.data, ActiveColumns(full.index[kept], full.sd[kept]), case.search.noise)
     datum, gains = (case.nuisance.index[own] for own in np.array([(n.is_datum, n.is_gain) for n in case.nuisances]).T)
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]

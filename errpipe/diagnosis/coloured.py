@@ -58,7 +58,7 @@ def whiten(columns: np.ndarray, run: np.ndarray, colour: Colour = USUAL) -> np.n
 
 def recolour(columns: np.ndarray, run: np.ndarray, old: Colour, new: Colour) -> np.ndarray:
     """Columns (rows, k) whitened by one colour, whitened by another instead."""
-    return noise.whiten(run, noise.coloured(run, np.ascontiguousarray(columns), *old.filter()), *new.filter())
+    return noise.whiten(run, noise.unwhiten(run, np.ascontiguousarray(columns), *old.filter()), *new.filter())
 
 
 def fitted(left: np.ndarray, run: np.ndarray) -> Colour:

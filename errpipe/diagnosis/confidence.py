@@ -105,7 +105,7 @@ def features(s: Indicators) -> dict[str, float]:
     }
 
 
-def naming(s: Indicators) -> float:
+def name_probability(s: Indicators) -> float:
     """Probability that the name is right."""
     return _curve(NAMING, s, 0.03, 0.99)
 
@@ -115,7 +115,7 @@ def of_class(s: Indicators) -> float:
 
     s: as for the name, with its margin over the best effect outside the class.
     """
-    p = naming(s)
+    p = name_probability(s)
     z = CLASS["constant"] + CLASS["naming"] * np.log(p / (1 - p))
     return float(np.clip(1.0 / (1.0 + np.exp(-z)), 0.03, 0.99))
 

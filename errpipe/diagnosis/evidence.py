@@ -79,7 +79,7 @@ class Table:
         self.width = width
         self._forget_products()
 
-    def know(self, index: np.ndarray) -> None:
+    def form_products(self, index: np.ndarray) -> None:
         """Form the products of these columns with all others, if they do not exist yet."""
         done = self._cross.shape[2]
         if done < self.width:
@@ -94,7 +94,7 @@ class Table:
 
     def _between(self, index: np.ndarray, others: slice) -> np.ndarray:
         """Products of some columns with others, by fold and over all rows, shape (folds + 1, k, others)."""
-        W, W_others = self.W, self.W[:, others]
+        W, W_others = self.whitened, self.whitened[:, others]
         out = np.zeros((len(self.rows) + 1, index.size, W_others.shape[1]))
 
         def of_fold(f: int) -> None:
@@ -107,16 +107,16 @@ class Table:
 
     def products(self, index: np.ndarray, others: np.ndarray, without: int | None = None) -> np.ndarray:
         """Products of columns with others, shape (k, others), over all rows or those outside a fold."""
-        self.know(index)
+        self.form_products(index)
         at = self._at[index][:, None]
         whole = self._cross[-1][at, others]
         return whole if without is None else whole - self._cross[without][at, others]
 
-    def among(self, index: np.ndarray, without: int | None = None) -> np.ndarray:
+    def products_among(self, index: np.ndarray, without: int | None = None) -> np.ndarray:
         """Products of columns among themselves, shape (k, k), over all rows or those outside a fold."""
         name = index.tobytes()
         if name not in self._among:
-            W = self.W[:, index]
+            W = self.whitened[:, index]
             out = np.zeros((len(self.rows) + 1, index.size, index.size))
             for first, last, f in self.stretches:
                 out[f] += W[first:last].T @ W[first:last]
@@ -126,7 +126,7 @@ class Table:
         return parts[-1] if without is None else parts[-1] - parts[without]
 
     @property
-    def W(self) -> np.ndarray:
+    def whitened(self) -> np.ndarray:
         """Whitened columns, shape (rows, columns so far)."""
         return self._store[:, : self.width]
 
@@ -149,7 +149,7 @@ class Table:
         first, last = self.width, self.width + columns.shape[1]
         if last > self._store.shape[1]:
             grown = np.zeros((self.n, 2 * last), order="F")
-            grown[:, :first] = self.W
+            grown[:, :first] = self.whitened
             self._store = grown
         if whitened:
             self._store[:, first:last] = columns
@@ -192,7 +192,7 @@ class Data:
         if done < self.table.width:
             fresh = np.zeros((len(self.table.rows), self.table.width - done))
             for first, last, f in self.table.stretches:
-                fresh[f] += self.table.W[first:last, done:].T @ self.y[first:last]
+                fresh[f] += self.table.whitened[first:last, done:].T @ self.y[first:last]
             self._known = np.column_stack([self._known, fresh])
         if self._total.size != self.table.width:
             total = self._known.sum(axis=0)
@@ -201,18 +201,18 @@ class Data:
 
 
 @dataclass(frozen=True)
-class Active:
+class ActiveColumns:
     """Columns in use: indices into the table and the prior standard deviation of each (inf: free)."""
 
     index: np.ndarray
     sd: np.ndarray
 
-    def plus(self, index: np.ndarray, sd: np.ndarray) -> Active:
+    def plus(self, index: np.ndarray, sd: np.ndarray) -> ActiveColumns:
         """These and further columns."""
-        return Active(np.concatenate([self.index, index]), np.concatenate([self.sd, sd]))
+        return ActiveColumns(np.concatenate([self.index, index]), np.concatenate([self.sd, sd]))
 
 
-class Listed:
+class ScoredHypotheses:
     """Hypotheses that are scored repeatedly: columns (indices into the table), their freedoms, and how many of the
     columns are the textbook form."""
 
@@ -244,7 +244,9 @@ class Listed:
             made = []
             for first, last in itertools.pairwise(self.starts):
                 free = self.freedom[first:last]
-                made.append((data.table.among(self.columns[first:last], data.without) * free[:, None] * free).ravel())
+                made.append(
+                    (data.table.products_among(self.columns[first:last], data.without) * free[:, None] * free).ravel()
+                )
             self._blocks[data.without] = np.concatenate([np.zeros(0), *made])
         return self._blocks[data.without]
 
@@ -252,7 +254,7 @@ class Listed:
 class Scene:
     """A signal with some active columns: coefficients, residual, and log Bayes factors of further hypotheses."""
 
-    def __init__(self, data: Data, active: Active, sigma: float):
+    def __init__(self, data: Data, active: ActiveColumns, sigma: float):
         self.table, self.data, self.active, self.sigma = data.table, data, active, sigma
         self.n = data.n
         i = active.index
@@ -274,7 +276,7 @@ class Scene:
 
     def residual(self) -> np.ndarray:
         """Whitened residual, shape (rows,)."""
-        return self.data.y - self.table.W[:, self.active.index] @ self.coefficients()
+        return self.data.y - self.table.whitened[:, self.active.index] @ self.coefficients()
 
     def covariance(self) -> np.ndarray:
         """Posterior covariance of the coefficients."""
@@ -300,16 +302,16 @@ class Scene:
         """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd`."""
         cross = self.with_active(index)
         s = evidence.project_out(self.chol, cross, self.half, self.Zy_all[index])
-        own = [self.table.among(index[k : k + 1], self.data.without)[0, 0] for k in range(index.size)]
+        own = [self.table.products_among(index[k : k + 1], self.data.without)[0, 0] for k in range(index.size)]
         S = np.array(own) - np.sum(cross**2, axis=0)
         return with_known_size(S, s, value, sd / self.sigma, self.Q, rows or self.n)
 
     def gains(self, index: list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None) -> np.ndarray:
         """Log Bayes factors of textbook forms: columns of each (indices into the table), their freedoms."""
-        return self.scores(Listed(index, freedom, [i.size for i in index]), rows=rows)[0]
+        return self.scores(ScoredHypotheses(index, freedom, [i.size for i in index]), rows=rows)[0]
 
     def scores(
-        self, listed: Listed, which: np.ndarray | None = None, rows: float | None = None
+        self, listed: ScoredHypotheses, which: np.ndarray | None = None, rows: float | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For listed hypotheses: log Bayes factors given the active columns, best sizes, textbook forms' shares."""
         which = listed.every if which is None else which

@@ -69,7 +69,7 @@ class ByDirection:
     def force(self) -> tuple[FoundParameter, ...]:
         return tuple(self._in_units(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
 
-    def says(self) -> str:
+    def sentence(self) -> str:
         both = (*self.damping(), *self.force())
         values = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g}) {p.unit}" for p in both]
         return (
@@ -141,11 +141,11 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
     for f in findings:
         if PARTS.get(f.effect) == "dry":
             parameters = (*f.parameters, *law.force(), *(() if carried else law.damping()))
-            f = f.model_copy(update={"parameters": parameters, "says": f"{f.says} {law.says()}"})
+            f = f.model_copy(update={"parameters": parameters, "says": f"{f.says} {law.sentence()}"})
         elif PARTS.get(f.effect) == "viscous":
             # a common damping is redundant if each direction has its own, except as the error of one in the simulation
             known = (f.parameters, f"{f.says} ") if f.effect in held else ((), "")
-            f = f.model_copy(update={"parameters": (*known[0], *law.damping()), "says": known[1] + law.says()})
+            f = f.model_copy(update={"parameters": (*known[0], *law.damping()), "says": known[1] + law.sentence()})
         elif PARTS.get(f.effect) == "falling" and opposes_dry_friction(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(
@@ -153,7 +153,7 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
                 confidence=f.confidence,
                 drivers=(law.column,),
                 parameters=law.damping(),
-                says=law.says(),
+                says=law.sentence(),
                 rms_um=f.rms_um,
                 compensable=False,
                 would_separate=f"run {law.axis} both ways at three constant speeds and compare the forces",

@@ -10,7 +10,7 @@ import numpy as np
 
 from errpipe.diagnosis import admit
 from errpipe.diagnosis.case import Case
-from errpipe.diagnosis.evidence import Active
+from errpipe.diagnosis.evidence import ActiveColumns
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
@@ -49,7 +49,7 @@ class HeldOut:
         """Share of the held-out variance that shapes over inputs predict beyond the names; negative if they do harm."""
         return 1.0 - (self.shaped / self.named) ** 2 if self.named > 0 else 0.0
 
-    def departing(self) -> float:
+    def departure_share(self) -> float:
         """Share of the held-out variance that departures from the textbook forms predict beyond these."""
         return (self.textbook**2 - self.named**2) / max(self.bare**2, 1e-300)
 
@@ -134,7 +134,7 @@ def _without_fold(search: Search, fold: int) -> Search:
     return part
 
 
-def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:
+def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[ActiveColumns, np.ndarray]:
     """Nuisances and textbook forms only, without the departures a part may have: their columns.
 
     Offsets of single runs cannot be predicted for a held-out run.

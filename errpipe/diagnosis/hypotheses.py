@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from errpipe.diagnosis.coloured import Colour
-from errpipe.diagnosis.evidence import Listed, Table
+from errpipe.diagnosis.evidence import ScoredHypotheses, Table
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.fitting.side_by_side import InTurn, ahead
+from errpipe.fitting.side_by_side import InTurn, prefetched
 from errpipe.kernels import evidence
 from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS
@@ -68,17 +68,17 @@ class Library:
         self.freedoms: list[np.ndarray] = []
         self.scales: list[np.ndarray] = []
         self._families: dict[tuple, list[int]] = {}
-        self._together: Listed | None = None
+        self._together: ScoredHypotheses | None = None
         self.gain_sd = np.zeros(0)  # of hypotheses whose gain is known to be 1, else NaN; as long as the last `listed`
         blocks = (self._listed(h, block, cores) for h, block, cores in made)
         self.table = Table(run, itertools.chain(blocks, [np.ones((run.size, 1))]), fold)
         *self.places, (self.datum,) = self.table.places
 
     @property
-    def listed(self) -> Listed:
+    def listed(self) -> ScoredHypotheses:
         """All hypotheses, to be scored together."""
         if self._together is None or self._together.every.size != len(self.hypotheses):
-            self._together = Listed(self.places, self.freedoms, self.cores)
+            self._together = ScoredHypotheses(self.places, self.freedoms, self.cores)
             known = [h.terms[0].gain_sd for h in self.hypotheses]
             self.gain_sd = np.array([np.nan if sd is None else sd for sd in known], dtype=float)
         return self._together
@@ -180,7 +180,7 @@ def _with_columns(every: Iterable[Hypothesis], recording: Recording, rows: np.nd
         core, slack, rel = columns_of(hypothesis, recording)
         return hypothesis, scaled(core[taken], slack[taken], rel, for_table=True), core.shape[1]
 
-    each = (ahead if rows.size >= MANY_ROWS else map)(made, every)
+    each = (prefetched if rows.size >= MANY_ROWS else map)(made, every)
     return ((hypothesis, block, cores) for hypothesis, block, cores in each if block is not None)
 
 

@@ -13,11 +13,11 @@ from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial,
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
-from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.evidence import ActiveColumns, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out, zeroed_at_starts
 from errpipe.diagnosis.own_noise import DEPENDENT, needs_noise_model, only_noise, refined, rounded, with_noise_model
 from errpipe.diagnosis.prepare import Pair
-from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
+from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, search_with_noise_level
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
@@ -87,7 +87,9 @@ def _least_size(library, i: int, held: parts.Decomposition) -> float:
     return MIN_SHARE_OF_PART * max(sizes, default=0.0)
 
 
-def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
+def diagnose_response(
+    raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None
+) -> Case:
     """Explain one response; its outliers are then removed, and it is explained again."""
     case = _judge(raw, conditioned, pair, progress)
     outlying = _isolated_outliers(residual(case))
@@ -165,7 +167,7 @@ def _found_by_folds(made: SetUp, case: Case) -> Case:
     one = _among(made, np.array([h.effect in case.held.often for h in made.library.hypotheses]))
     case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
     close = one.chosen() and case.search.joint(case.chosen()) - one.search.joint(one.chosen()) <= UNSTABLE
-    return one if close and not unnamed.departs(one, _held(one)) else case
+    return one if close and not unnamed.departures_predict_held_out(one, _held(one)) else case
 
 
 def _among(made: SetUp, among: np.ndarray | bool) -> Case:
@@ -211,7 +213,7 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
     return case
 
 
-def _without(made: SetUp, m: model.Modelled) -> Case:
+def _without(made: SetUp, m: model.FittedFinding) -> Case:
     """The best explanation without a finding, at any value of its non-linear parameters."""
     own = [(h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers) for h in made.library.hypotheses]
     made.prior = np.where(own, NEVER, made.prior)  # earlier searches keep their own
@@ -219,7 +221,7 @@ def _without(made: SetUp, m: model.Modelled) -> Case:
 
 
 def _settled(made: SetUp) -> tuple[Search, Explanation]:
-    return settled(made.library, made.data, made.nuisance, made.prior, made.noise_estimate)
+    return search_with_noise_level(made.library, made.data, made.nuisance, made.prior, made.noise_estimate)
 
 
 def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> SetUp:
@@ -234,7 +236,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     data = Data(library.table, pair.mismatch)
     plain = parts.static(simulated, library, raw, conditioned, rows)
     held = ([plain], None) if plain else parts.decompose(simulated, library, conditioned, rows, noise_estimate)
-    decomposition, (nuisance, kinds, recal, sizes) = recalibration.likeliest(
+    decomposition, (nuisance, kinds, recal, sizes) = recalibration.most_likely(
         *held, simulated, library, data, noise_estimate
     )
     noise = noise_of_twin(simulated, pair.mismatch, run)
@@ -285,7 +287,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     kept = supported_by_held_out(search, explanation.chosen(), judged)
     if len(kept) < len(explanation.accepted):
         explanation = replace(explanation, accepted=search.accepted(kept))
-    explanation = replace(explanation, accepted=search.simplest(explanation.accepted))
+    explanation = replace(explanation, accepted=search.prefer_simpler(explanation.accepted))
     chosen = explanation.chosen()
     search.sigma = sigma = max(search.scene(chosen).rms(), 1e-9)
     remainder = admit.remainder(search, chosen, made.free_shapes, made.places)
@@ -296,7 +298,9 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     return Case(**whole, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
 
 
-def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation, Active]:
+def _with_dependent_rows(
+    made: SetUp, search: Search, explanation: Explanation
+) -> tuple[Search, Explanation, ActiveColumns]:
     """If the residual is autocorrelated: an effective number of rows, and a wider prior on the gains.
 
     The effective number comes from the best single effect's residual: two effects may overfit.
@@ -306,13 +310,13 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     if time <= DEPENDENT:
         return search, explanation, nuisance
     worth = max(run.size / time, 30.0)
-    single, one = settled(library, made.data, nuisance, search.prior, noise, worth, most=1)
+    single, one = search_with_noise_level(library, made.data, nuisance, search.prior, noise, worth, most=1)
     left = single.scene(one.chosen()).residual()
     if not (_explains_share(search, explanation, noise) and not _explains_share(single, one, noise, 0.75)):
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
-        search, explanation = settled(library, made.data, nuisance, search.prior, noise, worth)
-    wide = Active(nuisance.index, nuisance.sd * np.where([n.is_gain for n in made.nuisances], WIDE, 1.0))
-    other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth, weighed=False)
+        search, explanation = search_with_noise_level(library, made.data, nuisance, search.prior, noise, worth)
+    wide = ActiveColumns(nuisance.index, nuisance.sd * np.where([n.is_gain for n in made.nuisances], WIDE, 1.0))
+    other, wide_gains = search_with_noise_level(library, made.data, wide, search.prior, noise, worth, weighed=False)
     chosen = [e.chosen() for e in (explanation, wide_gains)]
     if search.rows:
         narrow, proved = (made.judged().of_explanation(*way) for way in ((search, chosen[0]), (other, chosen[1])))
@@ -324,14 +328,20 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
 
 
 def favours_session_datums(
-    each_datum: Active, nuisance: Active, library, data: Data, prior, noise_estimate: float, run: np.ndarray
+    each_datum: ActiveColumns,
+    nuisance: ActiveColumns,
+    library,
+    data: Data,
+    prior,
+    noise_estimate: float,
+    run: np.ndarray,
 ) -> bool:
     """Is the best explanation likelier with a datum for each session than the best one with a single datum?
 
     The evidence penalises each datum. The effective number of rows comes from the residual with all datums fitted.
     """
     nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
-    both = [settled(library, data, n, prior, noise_estimate) for n in nuisances]
+    both = [search_with_noise_level(library, data, n, prior, noise_estimate) for n in nuisances]
     scenes = [s.scene(e.chosen()) for s, e in both]
     worth = max(run.size / correlation_time(scenes[0].residual(), run), 30.0)
     with_each, with_one = (

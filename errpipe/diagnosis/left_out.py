@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtrc
 
-from errpipe.diagnosis.admit import Remainder
+from errpipe.diagnosis.admit import AdmittedShapes
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.evidence import ActiveColumns, Data
 from errpipe.diagnosis.gains import Nuisance
 from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
@@ -61,13 +61,13 @@ class LeftOut:
             out.append(inside[ZEROED:] - inside[:ZEROED].mean())
         return np.concatenate(out)
 
-    def left(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
+    def left(self, data: Data, active: ActiveColumns, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
         """Residual on this fold's rows of a fit to `data` without the fold."""
         test = self.library.table.rows[fold]
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return self.zeroed(self.y[test] - columns[test] @ b, test)
 
-    def whitened(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
+    def whitened(self, data: Data, active: ActiveColumns, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
         """As `left`, each row minus the noise predicted from its neighbours."""
         if self.session is not None:
             return self.left(data, active, sigma, columns, fold)
@@ -75,7 +75,7 @@ class LeftOut:
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return whiten(self.y - columns @ b, table.run, table.colour)[table.rows[fold]]
 
-    def mean_square(self, data: Data, active: Active, sigma: float, columns: np.ndarray) -> float:
+    def mean_square(self, data: Data, active: ActiveColumns, sigma: float, columns: np.ndarray) -> float:
         """Mean square of the cross-validation residual over the folds of `data`."""
         folds = [f for f, rows in enumerate(self.library.table.rows) if f != data.without and rows.size]
         return float(np.mean(np.concatenate([self.whitened(data, active, sigma, columns, f) for f in folds]) ** 2))
@@ -86,13 +86,13 @@ class LeftOut:
         return self.mean_square(search.data, search.active(chosen), search.noise, columns)
 
 
-def coefficients(data: Data, active: Active, sigma: float, without: int | None) -> np.ndarray:
+def coefficients(data: Data, active: ActiveColumns, sigma: float, without: int | None) -> np.ndarray:
     """Posterior mean of the active columns' coefficients, with one more fold held out."""
     table, i = data.table, active.index
     G, s = table.products(i, i, data.without), data.products()[i]
     if without is not None:
         rows = table.rows[without]
-        W = table.W[np.ix_(rows, i)]
+        W = table.whitened[np.ix_(rows, i)]
         G, s = G - W.T @ W, s - W.T @ data.y[rows]
     prior = np.where(np.isinf(active.sd), 0.0, sigma**2 / np.maximum(active.sd, 1e-300) ** 2)
     return np.linalg.solve(G + np.diag(prior + 1e-11 * np.diag(G) + 1e-300), s)
@@ -100,7 +100,7 @@ def coefficients(data: Data, active: Active, sigma: float, without: int | None) 
 
 def datums(
     recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray, few: bool
-) -> tuple[Active, np.ndarray, list[Nuisance]] | None:
+) -> tuple[ActiveColumns, np.ndarray, list[Nuisance]] | None:
     """A datum for each session, for an instrument that is zeroed whenever the machine is started: columns in the
     library with their freedom, the same before whitening, their meaning. None if there are too few starts.
 
@@ -116,7 +116,7 @@ def datums(
     sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
     labels = [recording.run_labels()[r] for r in recording.run_codes()[rows[first]]]
     each = [Nuisance("session datum", f"datum of run {label}") for label in labels]
-    return Active(library.table.add(columns), sd), columns, each
+    return ActiveColumns(library.table.add(columns), sd), columns, each
 
 
 def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
@@ -146,7 +146,7 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
     return min((chosen[:k] for k in range(1, len(chosen) + 1)), key=lambda way: judged.of_explanation(search, way))
 
 
-def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
+def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: AdmittedShapes, judged: LeftOut) -> bool:
     """Do unnamed shapes predict held-out rows? What differs from session to session is not the shape of a mechanism."""
     columns = judged.columns([i for i, _ in chosen], rest.taken)
     return judged.mean_square(search.data, rest.active, search.noise, columns) < judged.of_explanation(search, chosen)

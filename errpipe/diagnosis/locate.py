@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.diagnosis.whiteness import both_ways
-from errpipe.domain.diagnosis import ChangePoint, Regime, Where
+from errpipe.domain.diagnosis import ChangePoint, Extent, Regime
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position_name
 
@@ -20,13 +20,13 @@ MOST_CHANGES = 4  # change points reported; more indicate a drift
 CHANGE = 25.0  # squared contrast, in variances of independent block means, from which a change is significant
 
 
-def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Where:
+def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Extent:
     """The range to which a hypothesis is limited."""
     if h.mask and h.mask[0] == "runs":
-        return Where(runs=tuple(h.mask[1]))
+        return Extent(runs=tuple(h.mask[1]))
     if h.mask:
-        return Where(ranges={h.mask[1]: (float(h.mask[2]), float(h.mask[3]))})
-    return Where(ranges=h.terms[0].active_ranges(recording, *nonlinear))
+        return Extent(ranges={h.mask[1]: (float(h.mask[2]), float(h.mask[3]))})
+    return Extent(ranges=h.terms[0].active_ranges(recording, *nonlinear))
 
 
 def regimes(

@@ -38,7 +38,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Modelled:
+class FittedFinding:
     """A finding with refined non-linear parameters, estimates and contribution."""
 
     hypothesis: Hypothesis
@@ -48,7 +48,7 @@ class Modelled:
     cores: int  # number of linear parameters
 
 
-def modelled(case: Case, k: int) -> Modelled:
+def fit_finding(case: Case, k: int) -> FittedFinding:
     """Parameters of finding k given the others."""
     f = case.explanation.accepted[k]
     scene = case.search.scene([(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k])
@@ -93,7 +93,7 @@ def modelled(case: Case, k: int) -> Modelled:
     rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
     units_of = [(e, *units.reported(e.unit, case.pair.unit, rotary)) for e in estimates]
     stated = (Estimate(e.name, e.value * f, unit, e.low * f, e.high * f) for e, unit, f in units_of)
-    return Modelled(hypothesis, tuple(stated), contribution, joint, cores)
+    return FittedFinding(hypothesis, tuple(stated), contribution, joint, cores)
 
 
 def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: float) -> tuple[list[Estimate], float]:
@@ -122,7 +122,7 @@ def _columns(case: Case, h: Hypothesis):
 def _projected(scene: Scene, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Products of a block with itself and with the signal, projected off the active columns."""
     W = whiten(block, scene.table.run, scene.table.colour)
-    cross = np.linalg.solve(scene.chol, scene.table.W[:, scene.active.index].T @ W)
+    cross = np.linalg.solve(scene.chol, scene.table.whitened[:, scene.active.index].T @ W)
     return W.T @ W - cross.T @ cross, W.T @ scene.data.y - cross.T @ scene.half
 
 
@@ -149,7 +149,7 @@ def _fit(scene: Scene, block, freedom, size: float, case: Case) -> tuple[np.ndar
 
 def _dependence(case: Case, scene: Scene, block, b) -> float:
     """Ratio of the variance to that of independent rows, from block sums of the scores."""
-    inside = scene.table.W[:, scene.active.index]
+    inside = scene.table.whitened[:, scene.active.index]
     both = whiten(np.column_stack([block[:, 0], block @ b]), case.run, scene.table.colour)
     projected = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
     score = projected[:, 0] * (scene.residual() - projected[:, 1])
@@ -164,7 +164,9 @@ def _between_stretches(scene: Scene, form: np.ndarray, sd: np.ndarray, cores: in
     in the units of `_linear`. form: alone, or with the reference or end from which it counts; sd: of each column.
     """
     inside = scene.active
-    columns = np.column_stack([scene.table.W[:, inside.index], whiten(form, scene.table.run, scene.table.colour)])
+    columns = np.column_stack(
+        [scene.table.whitened[:, inside.index], whiten(form, scene.table.run, scene.table.colour)]
+    )
     prior = (scene.sigma / np.maximum(np.r_[inside.sd, np.full(cores, np.inf), sd[cores : form.shape[1]]], 1e-300)) ** 2
     edges = np.linspace(0, scene.table.n, STRETCHES + 1).astype(int)
     parts = [(columns[a:b].T @ columns[a:b], columns[a:b].T @ scene.data.y[a:b]) for a, b in itertools.pairwise(edges)]

@@ -92,10 +92,10 @@ class Groups:
 
     @cached_property
     def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
-        """Unions tried, with the masks and penalties of `weighed`."""
-        return (choices := self.choices()), *self.weighed(choices)
+        """Unions tried, with the masks and penalties of `union_weights`."""
+        return (choices := self.choices()), *self.union_weights(choices)
 
-    def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
+    def union_weights(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
         """1 where a group is in a union, shape (unions, groups), and the unions' penalties."""
         inside = [np.bincount(c, minlength=self.count) for c in choices]
         return np.array(inside, dtype=float), np.array([self.price(c) for c in choices])
@@ -160,7 +160,9 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     seen = (alone - search.prior).max(initial=0.0, where=possible & shown)
     least = {e: max(12.0, (1 + DEPARTING) * whole.max(), (1 + MENDING) * max(g, seen) + BETTER) for e, g in own.items()}
     scene = search.scene([])
-    basis = np.linalg.solve(scene.chol, library.table.W.T[scene.active.index]).T.copy()  # (rows, m): projector's root
+    basis = np.linalg.solve(
+        scene.chol, library.table.whitened.T[scene.active.index]
+    ).T.copy()  # (rows, m): projector's root
     parts: list[Part] = []
     for groups in partitions(recording, rows):
         gain = np.where(_possible(search, groups.kind, clock), alone, -np.inf)
@@ -196,7 +198,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
         gain = np.full(len(library.hypotheses), -np.inf)
         for i in tried:
             places, freedom = _places(library, i, kind, textbook)
-            W = library.table.W.T[places].take(inside, axis=1)
+            W = library.table.whitened.T[places].take(inside, axis=1)
             B = W @ N
             S, s = (W @ W.T - B @ B.T) * freedom * freedom[:, None], (W @ y - B @ scene.half) * freedom
             gain[i] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
@@ -250,7 +252,7 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     """The union of groups in which a hypothesis explains most."""
     library, y, (order, upto) = search.library, search.data.y, groups.rows
     places, freedom = _places(library, index, groups.kind)
-    whole, cuts = library.table.W.T[places].take(order, axis=1), upto[1:-1]
+    whole, cuts = library.table.whitened.T[places].take(order, axis=1), upto[1:-1]
     pieces = zip(np.split(whole, cuts, axis=1), np.split(basis[order], cuts), np.split(y[order], cuts), strict=True)
     products = [(W @ W.T, (W @ N).T, W @ v) for W, N, v in pieces]
     S, B, s = (np.array(of_each_group) for of_each_group in zip(*products, strict=True))
@@ -258,7 +260,7 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     choices, member, price = groups.priced
     rate = (s[:, 0] - B[:, :, 0] @ scene.half) / np.maximum(S[:, 0, 0], 1e-300)
     if more := groups.by_rate(rate):
-        choices, (others, prices) = choices + more, groups.weighed(more)
+        choices, (others, prices) = choices + more, groups.union_weights(more)
         member, price = np.concatenate([member, others]), np.r_[price, prices]
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc

@@ -24,26 +24,26 @@ HALF = 0.5  # of a part: a look-alike that is smaller may be the error of its ga
 BETTER_WAVE = 1.1  # threshold: variance explained by a wave over the rows, over that of the finding
 
 
-def impossible(case: Case) -> list[model.Modelled]:
+def impossible(case: Case) -> list[model.FittedFinding]:
     """Implausible accepted findings: at a limit of what the recording resolves, or cancelled by another one."""
-    made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
+    made = [model.fit_finding(case, k) for k in range(len(case.explanation.accepted))]
     out = [m for m in made if at_its_limit(case, m) or implausible_size(m)] or cancelling(case, made)
     shifted = [getattr(t, "column", "") for m in made for t in m.hypothesis.terms if t.only_estimated and t.gain_sd]
     return out or (made[1:] if len(set(shifted)) < len(shifted) else [])
 
 
-def doubtful(case: Case) -> list[model.Modelled]:
+def doubtful(case: Case) -> list[model.FittedFinding]:
     """Accepted findings whose size is not significant, or whose scale's interval reaches its limit; weakest first.
 
     Of an effect of any shape the textbook form is one of many: its size may be zero.
     """
-    made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
+    made = [model.fit_finding(case, k) for k in range(len(case.explanation.accepted))]
     unsized = [is_insignificant(m) and m.hypothesis.terms[0].form != "any shape" for m in made]
     doubted = [m for m, u in zip(made, unsized, strict=True) if u or at_its_limit(case, m, np.inf)]
     return sorted(doubted, key=lambda m: m.joint)
 
 
-def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
+def cancelling(case: Case, made: list[model.FittedFinding]) -> list[model.FittedFinding]:
     """The weaker one of two findings that cancel: both far larger than the mismatch, or equivalent but for gains.
 
     Both are real if a simulation was fitted without what is missing: if it holds it, its gain cancels another form.
@@ -63,7 +63,7 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
     return out
 
 
-def is_insignificant(m: model.Modelled) -> bool:
+def is_insignificant(m: model.FittedFinding) -> bool:
     """Whether no linear parameter differs significantly from 0, alone (the reported intervals) or jointly?
 
     A wave has an amplitude, too; of the same term on two axes only the difference may be known.
@@ -73,7 +73,7 @@ def is_insignificant(m: model.Modelled) -> bool:
     return spans_zero or m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 
-def implausible_size(m: model.Modelled) -> bool:
+def implausible_size(m: model.FittedFinding) -> bool:
     """Is a size that must be 1 far from it (a time shift acts fully or not at all), or a natural constant too large?"""
     term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
     if term.gain_sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * term.gain_sd:
@@ -83,7 +83,7 @@ def implausible_size(m: model.Modelled) -> bool:
     )
 
 
-def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
+def at_its_limit(case: Case, m: model.FittedFinding, far: float = RATIO) -> bool:
     """Is a scale at the end of what the recording resolves, and outside the typical range of machines?
 
     far: factor from the limit to the other end of its interval; beyond it, the scale is resolved.
@@ -99,7 +99,7 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
     return False
 
 
-def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
+def gain_of_a_part(case: Case, m: model.FittedFinding) -> bool:
     """May the finding be the gain of a part of the simulation, or of the share of a part due to its reference?
 
     A lead error with an expansion, and the same expansion counted from another temperature, are one signal, but have
@@ -115,7 +115,7 @@ def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
     return False
 
 
-def only_a_wave_in_time(m: model.Modelled, left: np.ndarray) -> bool:
+def only_a_wave_in_time(m: model.FittedFinding, left: np.ndarray) -> bool:
     """Does a sine over the order of the rows (aliased mains hum) explain more than the finding?
 
     left: residual of the whole explanation, shape (rows,).

@@ -9,10 +9,10 @@ import numpy as np
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.evidence import ActiveColumns, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.left_out import LeftOut
-from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
+from errpipe.diagnosis.search import MISSING, Explanation, Search, search_with_noise_level
 from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain - 1 (usual: 0..15 %)
@@ -53,7 +53,11 @@ def missing_beyond_gains(
     one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
     every = any(n.kind == "noise" for n in nuisances)
     every = every or (not explanation.accepted and odds.min() > 0 and odds.sum() >= ALL_ONE)
-    suspect = [held[off]] if one else [n for n, far in zip(held, gains.excess(scene, rows)[1], strict=False) if far]
+    suspect = (
+        [held[off]]
+        if one
+        else [n for n, far in zip(held, gains.gain_limit_penalty(scene, rows)[1], strict=False) if far]
+    )
     suspect = held if every else suspect
     if not (every or (len(held) > 1 and suspect)) or not (one or search.weighed):  # held-out rows confirmed wide gains
         return None
@@ -64,9 +68,9 @@ def missing_beyond_gains(
     )
     prior = np.where(own, [h.prior for h in search.library.hypotheses], search.prior)
     exactly = np.array([n.is_gain and (one or every or n.part in labels) for n in nuisances])
-    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
+    exact = ActiveColumns(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
     known = (noise, search.rows)
-    other, named = settled(search.library, search.data, exact, prior, *known)
+    other, named = search_with_noise_level(search.library, search.data, exact, prior, *known)
     before = {f.hypothesis.effect for f in explanation.accepted}
     if named.accepted and other.evidence(named.chosen()) > search.evidence(now):
         again = {f.hypothesis.effect for f in named.accepted} <= before
@@ -76,12 +80,12 @@ def missing_beyond_gains(
         return (other, named, False) if as_good else None
     if not one or before:
         return None
-    other, named = settled(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
+    other, named = search_with_noise_level(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
     left = judged.of_explanation(other, named.chosen()), judged.of_explanation(search, now)
     return (other, named, True) if named.accepted and left[0] < AS_WELL * left[1] else None
 
 
-def likeliest(
+def most_likely(
     alternatives: list[parts.Decomposition], holding: parts.Held | None, simulated, library, data: Data, noise: float
 ):
     """The decomposition that maximises the joint likelihood of signal and mismatch, with its recalibration.
@@ -92,8 +96,8 @@ def likeliest(
 
     def scored(d: parts.Decomposition):
         nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
-        search, e = settled(library, data, nuisance, log_prior(library, d), noise)
-        too_far = gains.excess(search.scene(e.chosen()), gains.totals(kinds, sizes)[1], search.rows)[0]
+        search, e = search_with_noise_level(library, data, nuisance, log_prior(library, d), noise)
+        too_far = gains.gain_limit_penalty(search.scene(e.chosen()), gains.totals(kinds, sizes)[1], search.rows)[0]
         cost = MISSING * len(e.accepted) + min(too_far, MAX_GAIN_PENALTY)
         return TRUST * d.worth + search.evidence(e.chosen()) - cost, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
@@ -109,10 +113,10 @@ def likeliest(
 
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
-) -> tuple[Active, list[Nuisance], np.ndarray, np.ndarray]:
+) -> tuple[ActiveColumns, list[Nuisance], np.ndarray, np.ndarray]:
     """Datum, gain of the whole simulated signal, gain of each of its parts; their meanings, columns and sizes."""
     columns, sd, kinds = [simulated - simulated.mean()], [GAIN_SD], [DATUM, WHOLE]
-    whole = together(d.parts)
+    whole = merge_cancelling(d.parts)
     least = float(np.sqrt(np.mean([np.var(p.contribution) for p in whole]))) if d.plain else 0.0
     effects = [part.hypothesis.effect for part in whole]
     for part in whole:
@@ -129,12 +133,12 @@ def recalibration(
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
     index = library.table.add(block)
-    active = Active(np.array([library.datum]), np.array([np.inf]))
+    active = ActiveColumns(np.array([library.datum]), np.array([np.inf]))
     every = np.column_stack([np.ones(simulated.size), block])
     return active.plus(index, np.array(sd) * np.array(size)), kinds, every, np.r_[1.0, size]
 
 
-def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
+def merge_cancelling(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
     """Merge parts that nearly cancel: with separate gains they could reproduce almost anything."""
     out: list[parts.Part] = []
     for part in separate:
@@ -175,6 +179,6 @@ def share_in_simulation(library: hypotheses.Library, i: int, held: np.ndarray) -
     """Share of a part of the simulation that a hypothesis' textbook form explains: another wave, or a bump elsewhere,
     is another effect of the same name."""
     table = library.table
-    form, signal = table.W[:, library.places[i][: library.cores[i]]], whiten(held, table.run, table.colour)
+    form, signal = table.whitened[:, library.places[i][: library.cores[i]]], whiten(held, table.run, table.colour)
     rest = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
     return float(np.clip(1.0 - rest @ rest / (signal @ signal), 0.0, 1.0))

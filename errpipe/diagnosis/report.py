@@ -43,12 +43,12 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     before, after = case.y + 2.0 * case.simulated if case.pair.reversed else case.y, residual(case)
     case.held = held = case.held or holdout.held_out(case)
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
-    made = [model.modelled(case, k) for k in range(len(indicators))]
+    made = [model.fit_finding(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
     most = _most(case, made, indicators, after)
     findings = [unnamed.capped(f, limit) for f, limit in zip(findings, most, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
-    p_unknown = unnamed.chance(case, indicators, held)
+    p_unknown = unnamed.unknown_probability(case, indicators, held)
     nameless = unnamed.unexplained(case, held)
     if findings and unnamed.confirmed_by_held_out(case, held) and unnamed.unlikely(case, findings):
         p_unknown, nameless = max(p_unknown, unnamed.PROVISIONAL), True
@@ -58,7 +58,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     known = indicators or p_unknown >= unnamed.PROVISIONAL
     floor = float(min(case.sigma, case.noise_estimate) if known else case.sigma)
     recalibrated, datums = residual(case, []), own_datums(case, [])
-    chance = significance.chance(case)
+    chance = significance.surrogate_test(case)
     findings = [f.model_copy(update=_surrogate_test(case, f, chance)) for f in findings]
     if not unnamed.confirmed_by_held_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
@@ -86,12 +86,12 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         whiteness=whiteness(case),
         significance=surrogates,
     )
-    says = in_words(out) + (f" {law.says()}" if law else "") + _datums(case)
+    says = in_words(out) + (f" {law.sentence()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
 
 
-def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.Indicators], after) -> list[float]:
+def _most(case: Case, made: list[model.FittedFinding], indicators: list[confidence.Indicators], after) -> list[float]:
     """Upper limits of the confidence of names. after: residual of the explanation, shape (rows,).
 
     Drifting noise, or another name with a far-off gain, is as likely, unless predicted held-out rows contradict.
@@ -136,12 +136,12 @@ def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
     return {n: case.recording.array(n)[case.pair.rows] for n in held if n not in labels}
 
 
-def _surrogate_test(case: Case, f: Finding, whole: significance.Chance) -> dict[str, object]:
+def _surrogate_test(case: Case, f: Finding, whole: significance.SurrogateTest) -> dict[str, object]:
     """The surrogate test of a named finding: its p value and sentence."""
     place = [k for k, g in enumerate(case.explanation.accepted) if g.hypothesis.effect == f.effect]
     if not place:
         return {}
-    chance = significance.chance(case, place[0], whole=whole)
+    chance = significance.surrogate_test(case, place[0], whole=whole)
     what = "none" if chance.p * (significance.SURROGATES + 1) < 1.5 else f"{chance.p:.0%}"
     says = f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {chance.p:.2g})."
     return {"p_search": chance.p, "says": f.says + says}
@@ -189,7 +189,7 @@ def _best_shape(case: Case, chosen: list[tuple[int, float]], name: Hypothesis) -
     return float(case.search.scene(chosen).gains(sets, freedoms, case.search.rows).max())
 
 
-def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
+def finding(case: Case, k: int, made: model.FittedFinding, indicators: list[confidence.Indicators]) -> Finding:
     """One finding, with its rivals and the measurement that would distinguish them."""
     accepted = case.explanation.accepted
     h = accepted[k].hypothesis
@@ -199,7 +199,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     every = [r for r in other if r[1] < Rival.CLOSE or _fitted_rival(case, made, r[2])[1] < 1 - ALIKE]
     close = every[:4]
     outside = min((r[1] for r in other if r not in every), default=50.0)
-    name = confidence.naming(indicators[k])
+    name = confidence.name_probability(indicators[k])
     of_class = max(name, confidence.of_class(replace(indicators[k], margin=max(outside, indicators[k].margin))))
     alike = 1.0 + sum(float(np.exp(-r[1])) for r in other if h.mask and 0.0 <= r[1] < TIED)
     sentence = ""
@@ -234,7 +234,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     )
 
 
-def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, float]:
+def _fitted_rival(case: Case, made: model.FittedFinding, rival: int) -> tuple[tuple, float]:
     """The rival's textbook form fitted to the finding's contribution, and the residual share of its variance."""
     core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
     columns = np.column_stack([np.ones(core.shape[0]), core])
@@ -298,7 +298,7 @@ def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[
         yield nuisance, float(row @ b), float(np.sqrt(row @ covariance @ row))
 
 
-def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
+def _says(case: Case, effect: str, drivers, made: model.FittedFinding) -> str:
     wave = any(e.name.startswith("amplitude") for e in made.estimates)
     shown = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine"))) and (e.low or e.high)]
     last = shown[-1:] if wave and len(shown) > MOST_NUMBERS else []
@@ -319,7 +319,7 @@ def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
     )
 
 
-def _unusual(made: model.Modelled) -> str:
+def _unusual(made: model.FittedFinding) -> str:
     """A sentence on lags or lengths far from typical ones: the form may stand for another effect.
 
     Typical lengths are of linear axes: there is none for an angle.

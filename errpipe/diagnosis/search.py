@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty, textbook_share
+from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene, textbook_penalty, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MISSING = 10.0  # threshold: log Bayes factor of the first finding
@@ -60,7 +60,7 @@ class Search:
         self,
         library: Library,
         data: Data,
-        nuisance: Active,
+        nuisance: ActiveColumns,
         sigma: float,
         prior: np.ndarray,
         threshold: float,
@@ -81,7 +81,7 @@ class Search:
             return Explanation((), alone)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
         firsts = [k for k in self.best_of_each(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
-        self.data.table.know(np.concatenate([self.library.places[k] for k in firsts]))
+        self.data.table.form_products(np.concatenate([self.library.places[k] for k in firsts]))
         for first in firsts:
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
             keys = tuple(sorted((self.library.hypotheses[i].key for i, _ in chosen), key=str))
@@ -140,7 +140,7 @@ class Search:
         own = max(best.pop(accepted[k].hypothesis.effect)[0], accepted[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
-    def simplest(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
+    def prefer_simpler(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
         """The findings, each replaced by a simpler effect of the same inputs if that is as likely.
 
         Linear coefficients are integrated over; non-linear parameters are the best of many without penalty. With as
@@ -186,7 +186,7 @@ class Search:
         """Threshold on the log Bayes factor of a further finding, given findings that total `total`."""
         return min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
 
-    def active(self, chosen: list[tuple[int, float]]) -> Active:
+    def active(self, chosen: list[tuple[int, float]]) -> ActiveColumns:
         """Nuisances and chosen hypotheses with their sizes."""
         active = self.nuisance
         for i, size in chosen:
@@ -255,7 +255,7 @@ class Search:
         return chosen
 
 
-def settled(
+def search_with_noise_level(
     library, data, nuisance, prior, noise_estimate, rows=None, most=MOST, weighed=True
 ) -> tuple[Search, Explanation]:
     """Repeat the search until the noise level agrees with the residual rms."""

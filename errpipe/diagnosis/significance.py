@@ -27,7 +27,7 @@ FEWEST_BLOCKS = 12  # blocks that are permuted: fewer give too few permutations
 
 
 @dataclass(frozen=True)
-class Chance:
+class SurrogateTest:
     """p of the search's best gain, (1 + surrogates as good) / (1 + surrogates); the gains; how surrogates were made.
 
     limit: 95th percentile of the surrogates' gains; rows: effective number of rows; best: each surrogate's gain.
@@ -41,7 +41,9 @@ class Chance:
     best: np.ndarray
 
 
-def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole: Chance | None = None) -> Chance:
+def surrogate_test(
+    case: Case, k: int | None = None, surrogates: int = SURROGATES, whole: SurrogateTest | None = None
+) -> SurrogateTest:
     """Significance of finding k given the others; without k, of the best gain of the whole search.
 
     whole: the latter, if known: with no other findings its surrogates are also those of finding k.
@@ -56,7 +58,7 @@ def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole
     turned, scheme = surrogate_signals(scene.residual(), case.run, block, surrogates)
     best = best_gains(case, scene, turned)
     gain = float(best_gains(case, scene, scene.data.y[:, None])[0]) if k is None else accepted[k].gain
-    return Chance(_p(best, gain), gain, float(np.quantile(best, 0.95)), scheme, rows, best)
+    return SurrogateTest(_p(best, gain), gain, float(np.quantile(best, 0.95)), scheme, rows, best)
 
 
 def _p(best: np.ndarray, gain: float) -> float:
@@ -85,7 +87,7 @@ def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int)
 def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
     """The best gain of the whole library on each whitened signal (rows, count), given the scene's active columns."""
     library, table, active = case.library, scene.table, scene.active.index
-    products = table.W.T @ signals
+    products = table.whitened.T @ signals
     half = np.linalg.solve(scene.chol, products[active])
     total = np.einsum("nc,nc->c", signals, signals)
     spare = np.maximum(total - np.einsum("ac,ac->c", half, half), 1e-12 * total + 1e-300)
@@ -98,7 +100,7 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
         columns = np.stack([library.places[i][: width or 1] for i in members])
         cross = np.linalg.solve(scene.chol, scene.with_active(columns.ravel()))
         cross = cross.reshape(active.size, *columns.shape).transpose(1, 2, 0)  # (members, width, active)
-        S = np.stack([table.among(c, scene.data.without) for c in columns]) - cross @ cross.transpose(0, 2, 1)
+        S = np.stack([table.products_among(c, scene.data.without) for c in columns]) - cross @ cross.transpose(0, 2, 1)
         s = products[columns] - cross @ half
         prior = case.search.prior[members][:, None]
         if width == 0:

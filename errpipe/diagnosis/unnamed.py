@@ -34,7 +34,7 @@ UNREACHED = 0.25  # threshold: share of the variance beyond the noise between ne
 # from which `unknown` comes first: drifting noise with an effect of twice its size leaves a fifth
 
 
-def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
+def unknown_probability(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
     """Probability of a mechanism outside the library; PROVISIONAL if held-out rows do not confirm it.
 
     Autocorrelated residuals alone (a drift, heavy tails, steps, coarse resolution) are no mechanism: shapes over inputs
@@ -42,7 +42,7 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
     """
     if rounded(case):
         return 0.0
-    if departs(case, held) or unnamed_structure(case, held):
+    if departures_predict_held_out(case, held) or unnamed_structure(case, held):
         return max(confidence.unknown(indicators[0]), DEPARTED)
     if indicators:
         p = confidence.unknown(indicators[0])
@@ -51,9 +51,9 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
         base = case.search.scene([]).rms()
         drop = 1.0 - (case.remainder.rms / base) ** 2 if base > 0 else 0.0
         p = confidence.unknown_alone(gain, drop, max(held.shape_share(), 0.0))
-    if unexplained(case, held) or wanders(case):
+    if unexplained(case, held) or has_slow_drift(case):
         p = max(p, PROVISIONAL)
-    if p < NOISE or proved(case, held):
+    if p < NOISE or shapes_predict_held_out(case, held):
         return p
     return min(p, NOISE if is_noise(case) or is_of_the_signal(case, held) else PROVISIONAL)
 
@@ -95,7 +95,7 @@ def shapes_are_noise(case: Case) -> bool:
     return linear_gain(case, named, with_shapes(case)[1], freedom) < 0.0
 
 
-def wanders(case: Case) -> bool:
+def has_slow_drift(case: Case) -> bool:
     """Does the residual drift far beyond the noise between neighbours, by its colour or by an autoregression?"""
     left, own = residual(case), case.library.table.colour
     slow = case.taken_back or (own != USUAL and own.share > 0.5)
@@ -130,7 +130,7 @@ def _rhythm_remains(case: Case, held: holdout.HeldOut) -> bool:
     return case.sigma**2 > UNREACHED * (case.sigma**2 + float(np.var(named)))
 
 
-def proved(case: Case, held: holdout.HeldOut) -> bool:
+def shapes_predict_held_out(case: Case, held: holdout.HeldOut) -> bool:
     """Do shapes over inputs predict held-out rows beyond the names, and better than for slow noise?"""
     return held.shape_share() >= HELD_OUT_SHARE and not (is_noise(case) and shapes_are_noise(case))
 
@@ -142,7 +142,7 @@ def unnamed_structure(case: Case, held: holdout.HeldOut) -> bool:
     enough = again and share >= UNREACHED and unexplained_share(case) > UNREACHED
     enough = enough or (share >= HELD_OUT_SHARE and gain >= confidence.MOST_BESIDE)
     enough = enough and held.named**2 - held.shaped**2 >= NOTICEABLE * held.bare**2
-    return bool(case.explanation.accepted) and enough and proved(case, held)
+    return bool(case.explanation.accepted) and enough and shapes_predict_held_out(case, held)
 
 
 def unexplained_share(case: Case) -> float:
@@ -162,7 +162,7 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
     masks = [f.hypothesis.mask for f in case.explanation.accepted]
     shaped = any(shape.of_inputs for shape, _ in case.remainder.shapes)
     among_many = all(mask and (shaped or mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
-    return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
+    return max(f.group_confidence() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
 
 
 def is_a_level(case: Case) -> bool:
@@ -195,7 +195,7 @@ def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
     return held.after < held.before and beyond[0] <= SMALLER**2 * beyond[1] and confirmed
 
 
-def departs(case: Case, held: holdout.HeldOut) -> bool:
+def departures_predict_held_out(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as an unnamed shape must?
 
     Real parts differ from the textbook by a few per cent of the variance; beyond that, the form is that of another
@@ -204,9 +204,9 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     first = case.explanation.accepted[0].hypothesis if case.explanation.accepted else None
     if first is None or first.terms[0].form == "any rate":
         return False
-    if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
+    if held.departure_share() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False
-    return textbook_alone(case) < ALONE or plausible.is_insignificant(model.modelled(case, 0))
+    return textbook_alone(case) < ALONE or plausible.is_insignificant(model.fit_finding(case, 0))
 
 
 def textbook_alone(case: Case) -> float:
@@ -226,12 +226,12 @@ def textbook_alone(case: Case) -> float:
 
 def finding(case: Case, probability: float) -> Finding:
     """The finding `unknown`: structure that no effect explains, its inputs and its shape."""
-    if departs(case, case.held):  # the inputs of a name are right, but not its form
+    if departures_predict_held_out(case, case.held):  # the inputs of a name are right, but not its form
         h = case.explanation.accepted[0].hypothesis
         says = (
-            f"Structure correlates with {' and '.join(h.drivers)} in a form that no effect of the vocabulary has: what "
-            f"departs from the textbook form of {h.effect.replace('_', ' ')} predicts {case.held.departing():.0%} of "
-            "the held-out variance."
+            f"Structure correlates with {' and '.join(h.drivers)} in a form that no effect of the vocabulary has: "
+            f"what departs from the textbook form of {h.effect.replace('_', ' ')} predicts "
+            f"{case.held.departure_share():.0%} of the held-out variance."
         )
         return _unknown(probability, h.drivers, says, case.search.scene([]).rms() ** 2 - case.sigma**2)
     shapes, clock = case.remainder.shapes, case.recording.name("time") or "row"

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from errpipe.domain.recording import Manifest, Past, Recording
+from errpipe.domain.recording import CarriedState, Manifest, Recording
 
 
 class Batch(Recording):
@@ -21,7 +21,7 @@ class Batch(Recording):
 
     columns: dict[str, Any]
 
-    def __init__(self, manifest: Manifest, columns: dict[str, Any], rows: int, past: Past | None = None):
+    def __init__(self, manifest: Manifest, columns: dict[str, Any], rows: int, past: CarriedState | None = None):
         self.__dict__.update(manifest=manifest, columns=columns, rows=rows, between="held", past=past)
         labels = {n for n, values in columns.items() if hasattr(values, "dictionary")}
         self.__dict__["_arrays"] = {n: values for n, values in columns.items() if n not in labels}

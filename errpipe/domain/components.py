@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import Literal
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.errors import did_you_mean
 
 ABOUT = {"A": "X", "B": "Y", "C": "Z"}  # ISO 841: A, B, C turn about X, Y, Z
@@ -51,7 +51,7 @@ STRAIGHTNESS: Kind = "straightness"
 SQUARENESS: Kind = "squareness"
 
 
-class Component(Frozen):
+class Component(FrozenModel):
     """One component. name: canonical spelling; direction: of the deviation; axis: the axis it belongs to, if any."""
 
     name: str

@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from errpipe.domain.driver import Driver
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 
 Verdict = Literal["no_mismatch", "recalibrate", "missing_physics", "unexplained"]
 
 
-class FoundParameter(Frozen):
+class FoundParameter(FrozenModel):
     """One parameter of a finding with its 95 % interval, in `unit`."""
 
     name: str
@@ -21,7 +21,7 @@ class FoundParameter(Frozen):
     ci95: tuple[float, float]
 
 
-class Where(Frozen):
+class Extent(FrozenModel):
     """What limits an effect: runs, and ranges of columns; empty where it acts everywhere."""
 
     runs: tuple[str, ...] = ()
@@ -37,7 +37,7 @@ class Where(Frozen):
         return out
 
 
-class Rival(Frozen):
+class Rival(FrozenModel):
     """Another effect in the finding's place, and the log Bayes factor by which it lost."""
 
     CLOSE: ClassVar[float] = 4.0  # below it the data cannot distinguish the two (Kass, Raftery: 3 to 5 is strong)
@@ -45,7 +45,7 @@ class Rival(Frozen):
     lost_by: float
 
 
-class EmpiricalTerm(Frozen):
+class EmpiricalTerm(FrozenModel):
     """One column of an empirical equation, in words, and its coefficient."""
 
     column: str
@@ -58,7 +58,7 @@ class EmpiricalTerm(Frozen):
     )
 
 
-class Empirical(Frozen):
+class Empirical(FrozenModel):
     """An equation without a mechanism: the sum of its terms and a constant, in `unit`."""
 
     terms: tuple[EmpiricalTerm, ...]
@@ -74,13 +74,13 @@ class Empirical(Frozen):
         return tuple(t.driver for t in self.terms if t.driver is not None)
 
 
-class Finding(Frozen):
+class Finding(FrozenModel):
     """An effect that the simulation lacks; `unknown` if no effect explains the structure; or `recalibration`."""
 
     effect: str
     confidence: float = Field(ge=0, le=1)
     drivers: tuple[str, ...] = ()
-    where: Where = Where()
+    where: Extent = Extent()
     parameters: tuple[FoundParameter, ...] = ()
     indistinguishable_from: tuple[str, ...] = ()
     confidence_of_class: float | None = Field(
@@ -100,7 +100,7 @@ class Finding(Frozen):
         None, description="Share of surrogates without this effect in which the whole search gains as much."
     )
 
-    def sure(self) -> float:
+    def group_confidence(self) -> float:
         """Confidence in the effect together with those that the data cannot distinguish it from."""
         return max(self.confidence, self.confidence_of_class or 0.0)
 
@@ -109,7 +109,7 @@ class Finding(Frozen):
         return (() if self.term is None else (self.term,)) + self.more_terms
 
 
-class HoldOutFigures(Frozen):
+class HoldOutFigures(FrozenModel):
     """rms on rows that neither selected nor fitted anything."""
 
     scheme: str
@@ -117,7 +117,7 @@ class HoldOutFigures(Frozen):
     rms_after_um: float
 
 
-class Regime(Frozen):
+class Regime(FrozenModel):
     """A part of the recording and the rms of the mismatch there, before and after."""
 
     what: str
@@ -129,7 +129,7 @@ class Regime(Frozen):
     )
 
 
-class ChangePoint(Frozen):
+class ChangePoint(FrozenModel):
     """Where the mismatch, datum and gains set right, changes its level or size for good. `at`: value of `column`."""
 
     column: str
@@ -139,7 +139,7 @@ class ChangePoint(Frozen):
     after_um: float
 
 
-class WhitenessTest(Frozen):
+class WhitenessTest(FrozenModel):
     """Test whether the residual correlates with an input. statistic: F with `dof` columns, or Ljung-Box's Q."""
 
     against: str
@@ -149,7 +149,7 @@ class WhitenessTest(Frozen):
     p: float
 
 
-class Whiteness(Frozen):
+class Whiteness(FrozenModel):
     """All tests of the residual of the best explanation; p: adjusted for all; slow_share: of the noise, estimated."""
 
     p: float
@@ -158,7 +158,7 @@ class Whiteness(Frozen):
     says: str
 
 
-class Significance(Frozen):
+class Significance(FrozenModel):
     """The search's best gain, and that on surrogates without an effect. gain, limit95: log Bayes factors."""
 
     p: float
@@ -169,7 +169,7 @@ class Significance(Frozen):
     rows: int
 
 
-class ResponseDiagnosis(Frozen):
+class ResponseDiagnosis(FrozenModel):
     """One response. Fields ending in `_um` are in `unit` where that is not um."""
 
     component: str
@@ -190,7 +190,7 @@ class ResponseDiagnosis(Frozen):
     says: str = ""
 
 
-class Diagnosis(Frozen):
+class Diagnosis(FrozenModel):
     """The whole document."""
 
     diagnosis: Literal[1] = 1

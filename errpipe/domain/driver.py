@@ -12,31 +12,31 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from errpipe.domain import operations
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 
 
 class Constant(operations.Constant):
     """The same at all times."""
 
 
-class Input(Frozen):
+class Input(FrozenModel):
     op: Literal["input"] = "input"
     name: str = Field(description="Column of the recording, channel of the controller.")
 
 
-class OfOne(Frozen):
+class OfOne(FrozenModel):
     """An operation on one driver."""
 
     of: Driver = Field(description="Operand.")
 
 
-class OfSeveral(Frozen):
+class OfSeveral(FrozenModel):
     """An operation on several drivers."""
 
     of: tuple[Driver, ...] = Field(description="Operands.")
 
 
-class OfAxis(Frozen):
+class OfAxis(FrozenModel):
     """An operation on the motion of an axis."""
 
     axis: str = Field(description="Letter of the axis, such as X.")
@@ -123,9 +123,9 @@ def axes(driver: Driver) -> set[str]:
     return own.union(*map(axes, _below(driver)))
 
 
-def remembers(driver: Driver) -> bool:
+def has_memory(driver: Driver) -> bool:
     """Whether a driver's value depends on rows before the row."""
-    return isinstance(driver, First | Lag | Switch | Direction | Approach) or any(map(remembers, _below(driver)))
+    return isinstance(driver, First | Lag | Switch | Direction | Approach) or any(map(has_memory, _below(driver)))
 
 
 def _below(driver: Driver) -> tuple[Driver, ...]:

@@ -12,12 +12,12 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from errpipe import __version__
-from errpipe.domain.recording import Frozen, Manifest
+from errpipe.domain.recording import FrozenModel, Manifest
 from errpipe.errors import DataError, UsageError
 from errpipe.yamlfile import quantity
 
 
-class FittedParameter(Frozen):
+class FittedParameter(FrozenModel):
     """One parameter: value, standard error and 95 % interval, all in `unit`."""
 
     name: str = Field(description="Name of the parameter, as the term has it.")
@@ -28,7 +28,7 @@ class FittedParameter(Frozen):
     note: str = Field("", description="What should be known about the estimate.")
 
 
-class FittedTerm(Frozen):
+class FittedTerm(FrozenModel):
     """A term as declared, and its parameters: the linear ones first, in the term's order, then the non-linear."""
 
     term: dict[str, Any] = Field(description="The term as declared.")
@@ -57,7 +57,7 @@ class _Values(dict[str, float]):
         raise DataError(f"term {self.term}: the model has no parameter {name} (it has: {', '.join(self) or 'none'})")
 
 
-class DatumReadings(Frozen):
+class DatumReadings(FrozenModel):
     """How readings of the deviation now and then correct a component: by an input `datum_<component>` of the table.
 
     The input is the last reading minus the model's prediction at that time.
@@ -68,7 +68,7 @@ class DatumReadings(Frozen):
     bound: float = quantity("of the deviation", "A reading further from the prediction is rejected.", gt=0)
 
 
-class ComponentModel(Frozen):
+class ComponentModel(FrozenModel):
     """The model of one response: deviation = gain times the sum of its terms."""
 
     component: str = Field(description="The response, such as EXX or E_Z.")
@@ -108,7 +108,7 @@ class ComponentModel(Frozen):
         return f"datum_{self.component}"
 
 
-class Validity(Frozen):
+class Validity(FrozenModel):
     """The range covered by the fitted rows: column -> (lowest, highest); `margin` -> the fade outside it."""
 
     ranges: dict[str, tuple[float, float]] = Field(
@@ -127,7 +127,7 @@ class Validity(Frozen):
     )
 
 
-class ErrorModel(Frozen):
+class ErrorModel(FrozenModel):
     """Format version 1 of `error_model.json`."""
 
     error_model: Literal[1] = 1

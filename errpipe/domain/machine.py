@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.errors import did_you_mean
 from errpipe.yamlfile import quantity
 
@@ -33,7 +33,7 @@ def _unit_vector(value: Vector) -> Vector:
 Direction = Annotated[Vector, AfterValidator(_unit_vector)]
 
 
-class Axis(Frozen):
+class Axis(FrozenModel):
     """One axis of motion and where its six error components are defined.
 
     The six components are the motion of what lies on the tool's side of the axis relative to what lies on
@@ -78,7 +78,7 @@ class Axis(Frozen):
         return min(max(0.0, self.travel[0]), self.travel[1]) if self.datum is None else self.datum
 
 
-class Spindle(Frozen):
+class Spindle(FrozenModel):
     """The spindle nose, and whether growth (three components) and tilt (two) are among the errors."""
 
     position: Vector = quantity("mm", "of the nose", (0.0, 0.0, 0.0))
@@ -87,7 +87,7 @@ class Spindle(Frozen):
     tilt: bool = Field(False, description="whether its tilt is among the errors (two components)")
 
 
-class Tool(Frozen):
+class Tool(FrozenModel):
     """Tool tip = mount + offset + length along `direction`; length and offset may be changed at run time."""
 
     mount: Vector | None = quantity("mm", "where it is held; the spindle's position where left out", None)
@@ -96,7 +96,7 @@ class Tool(Frozen):
     offset: Vector = quantity("mm", "of the tip, added to the length", (0.0, 0.0, 0.0))
 
 
-class Machine(Frozen):
+class Machine(FrozenModel):
     """Version 1 of a machine file."""
 
     machine: Literal[1]

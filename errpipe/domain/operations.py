@@ -31,7 +31,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.yamlfile import quantity
 
 LARGEST_NUMBER = 1e15  # of any parameter: keeps a single-precision controller away from overflow
@@ -41,7 +41,7 @@ Positive = Annotated[float, Field(gt=1e-15, le=LARGEST_NUMBER)]
 NotNegative = Annotated[float, Field(ge=0, le=LARGEST_NUMBER)]
 
 
-class Operation(Frozen):
+class Operation(FrozenModel):
     """Base of all: `op` names the operation, the other fields are its parameters."""
 
 

@@ -123,13 +123,13 @@ _SPELLINGS = {
 }
 
 
-class Frozen(BaseModel):
+class FrozenModel(BaseModel):
     """Immutable, and a key it does not know is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
-class Derived(Frozen):
+class Derived(FrozenModel):
     """How a column that is in no table comes about: one of a difference, a multiple of a column, a constant."""
 
     minus: tuple[str, str] | None = Field(
@@ -152,7 +152,7 @@ class Derived(Frozen):
         return self
 
 
-class ActsOn(Frozen):
+class ActsOn(FrozenModel):
     """The axis that corrects a component that belongs to no axis."""
 
     axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
@@ -167,7 +167,7 @@ class ActsOn(Frozen):
     )
 
 
-class Column(Frozen):
+class Column(FrozenModel):
     """What one column of the tables is."""
 
     role: Role = Field(description="What the column holds.")
@@ -210,7 +210,7 @@ class Column(Frozen):
         return self
 
 
-class Constant(Frozen):
+class Constant(FrozenModel):
     """A fact about the set-up: an axis (role: axis) or a plain value with its unit."""
 
     role: Literal["axis"] | None = Field(None, description="`axis` for the facts of an axis.")
@@ -230,7 +230,7 @@ class Constant(Frozen):
     unit: str | None = Field(None, description="Unit of the numbers beside it.")
 
 
-class Manifest(Frozen):
+class Manifest(FrozenModel):
     """Recording manifest, version 1."""
 
     recording: Literal[1]
@@ -254,7 +254,7 @@ class Manifest(Frozen):
 
 
 @dataclass
-class Past:
+class CarriedState:
     """State after the rows before a batch. run, time: of the last one; states, later: driver -> its state at the
     end of the rows before and of this batch.
     """
@@ -281,7 +281,7 @@ class Recording:
     manifest: Manifest
     frame: pd.DataFrame
     between: Literal["held", "inferred"] = "held"
-    past: Past | None = None
+    past: CarriedState | None = None
     separate_runs: bool = False
 
     def __len__(self) -> int:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ConfigDict, Field
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 
 # ASCII characters allowed in a text. Names are printed into programs, comments and file names of many
 # controllers: no quote, star, semicolon, angle or curly bracket, backslash, question mark or the like is let through.
@@ -47,7 +47,7 @@ Name = Annotated[str, Field(min_length=1), text(31)]
 Index = Annotated[int, Field(ge=0)]
 
 
-class Part(Frozen):
+class Part(FrozenModel):
     """A part of the table: immutable, no unknown keys, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)

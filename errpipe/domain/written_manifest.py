@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from errpipe.domain import components, units
 from errpipe.domain.recording import Column, Manifest
 from errpipe.errors import did_you_mean
-from errpipe.yamlfile import Misplaced
+from errpipe.yamlfile import InvalidKey
 
 MAX_COLUMNS = 1024  # that are used; cleaning compares each with the others, and 400 sensors take it ten seconds
 _AXIS = re.compile(r"[A-Z]\d?")
@@ -60,12 +60,12 @@ class WrittenColumn(Column):
         try:
             convert = units.conversion(self.role, self.unit)
         except ValueError as err:
-            raise Misplaced(("unit",), str(err)) from None
+            raise InvalidKey(("unit",), str(err)) from None
         if self.role in ("error", "simulated") and convert is not None:
             allowed = components.allowed_units(str(self.component))
             if convert.unit not in allowed:
                 wanted = " or ".join(allowed)
-                raise Misplaced(("unit",), f"{self.component} is measured in {wanted} (found {self.unit!r})")
+                raise InvalidKey(("unit",), f"{self.component} is measured in {wanted} (found {self.unit!r})")
         return self
 
 
@@ -79,7 +79,7 @@ class WrittenManifest(Manifest):
     def _so_many_columns(self) -> WrittenManifest:
         used = sum(c.role != "ignore" for c in self.columns.values())
         if used > MAX_COLUMNS:
-            raise Misplaced(("columns",), f"{used} columns (at most {MAX_COLUMNS}; give the others `role: ignore`)")
+            raise InvalidKey(("columns",), f"{used} columns (at most {MAX_COLUMNS}; give the others `role: ignore`)")
         return self
 
     @model_validator(mode="after")
@@ -92,14 +92,14 @@ class WrittenManifest(Manifest):
                 what = (c.role, c.component)
                 if what in seen:
                     of = f" of {c.component}" if c.component else ""
-                    raise Misplaced(
+                    raise InvalidKey(
                         ("columns", column_name),
                         f"columns {seen[what]!r} and {column_name!r} are both role {c.role}{of} (allowed: one;"
                         " give the other role ignore)",
                     )
                 seen[what] = column_name
         if len(set(self.tables)) < len(self.tables):
-            raise Misplaced(("tables",), "a table is listed twice (its rows would count twice)")
+            raise InvalidKey(("tables",), "a table is listed twice (its rows would count twice)")
         return self
 
     def _derived_from_what_is_there(self, column_name: str, c: Column) -> None:
@@ -111,15 +111,15 @@ class WrittenManifest(Manifest):
         for name in named:
             if name not in self.columns:
                 near = did_you_mean(str(name), self.columns)
-                raise Misplaced(place, f"there is no column {name!r} (columns: {', '.join(self.columns)}).{near}")
+                raise InvalidKey(place, f"there is no column {name!r} (columns: {', '.join(self.columns)}).{near}")
         if c.derived.of is not None and self.columns[c.derived.of].derived is not None:
-            raise Misplaced(place, f"{c.derived.of!r} is derived itself (allowed: a column of the table)")
+            raise InvalidKey(place, f"{c.derived.of!r} is derived itself (allowed: a column of the table)")
         for name in c.derived.minus or ():
             if self.columns[name].role not in ("position", "command", "actual"):
-                raise Misplaced(place, f"{name!r} is no position (role {self.columns[name].role})")
+                raise InvalidKey(place, f"{name!r} is no position (role {self.columns[name].role})")
             own = self.columns[name].derived
             if own is not None and own.minus is not None:
-                raise Misplaced(place, f"{name!r} is a difference itself (allowed: a column of the table)")
+                raise InvalidKey(place, f"{name!r} is a difference itself (allowed: a column of the table)")
         if c.derived.minus is not None and c.unit not in ("um", "urad"):
             where = ("columns", column_name, "unit")
-            raise Misplaced(where, f"a difference of positions is in um or urad (found {c.unit!r})")
+            raise InvalidKey(where, f"a difference of positions is in um or urad (found {c.unit!r})")

@@ -8,8 +8,8 @@ from functools import reduce
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain.recording import Past, Recording
-from errpipe.drivers.motion import direction, position, unbroken
+from errpipe.domain.recording import CarriedState, Recording
+from errpipe.drivers.motion import direction, motion_sessions, position
 from errpipe.drivers.sessions import MAX_PAUSE, sessions
 from errpipe.kernels import responses
 
@@ -20,7 +20,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
     """Evaluate a driver causally over a recording, shape (rows,). Missing inputs give NaN.
 
     States (first value, lag, switch, direction, approach) live as long as a session: see `sessions`; an approach
-    where motion is recorded without a break: see `unbroken`.
+    where motion is recorded without a break: see `motion_sessions`.
     """
     match driver:
         case d.Constant():
@@ -53,7 +53,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
             return direction(recording, driver.axis, driver.threshold, driver.start)
         case d.Approach():
             side = direction(recording, driver.axis, driver.threshold, driver.start)
-            return responses.approach(unbroken(recording), position(recording, driver.axis), side, driver.length)
+            return responses.approach(motion_sessions(recording), position(recording, driver.axis), side, driver.length)
         case d.Lookup():
             values = np.asarray(driver.values)
             return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)
@@ -121,7 +121,7 @@ def _state(
     return out
 
 
-def _goes_on(recording: Recording, past: Past) -> bool:
+def _goes_on(recording: Recording, past: CarriedState) -> bool:
     same_run = recording.run_labels()[recording.run_codes()[0]] == past.run
     return same_run or (recording.name("time") is not None and 0.0 <= recording.time()[0] - past.time <= MAX_PAUSE)
 

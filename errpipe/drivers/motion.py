@@ -101,7 +101,7 @@ def _moving(v: np.ndarray, run: np.ndarray) -> np.ndarray:
     return np.where(fastest > limit, sign, 0.0)
 
 
-def unbroken(recording: Recording) -> np.ndarray:
+def motion_sessions(recording: Recording) -> np.ndarray:
     """Integer per row, shape (rows,): sessions, cut where a run begins under way.
 
     What led up to such a run no row shows (the feed-in of a circular test, ISO 230-4): an axis then comes from the side
@@ -143,7 +143,7 @@ def travel(recording: Recording, axis: str) -> tuple[float, float]:
     return (low, high) if high > low else (low, low + 1.0)
 
 
-def share(recording: Recording, axis: str, radial: bool) -> np.ndarray:
+def response_share(recording: Recording, axis: str, radial: bool) -> np.ndarray:
     """How much of an axis' own deviation shows in the response: 1, shape (1,), or pos/R in a circular test, (rows,)."""
     if not radial:
         return np.ones(1)

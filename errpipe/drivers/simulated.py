@@ -58,7 +58,7 @@ def between(t: np.ndarray, u: np.ndarray, when: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Late:
+class DelayDifference:
     """gain * (u(t - delay) - u(t)), u the column `name` or the path of `axis` in um (urad); delay in s."""
 
     delay: float

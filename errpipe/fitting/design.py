@@ -14,7 +14,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
-from errpipe.fitting.identifiability import Named
+from errpipe.fitting.identifiability import DesignColumn
 from errpipe.terms import Parameter, Term
 
 
@@ -103,11 +103,11 @@ class Problem:
                 matrices.append(whole)
         return matrices
 
-    def names(self) -> list[Named]:
+    def names(self) -> list[DesignColumn]:
         out = []
         for slot in self.slots:
             drivers = slot.term.drivers(self.recording)
-            out += [Named(p.name, slot.term.term, drivers) for p in slot.free]
+            out += [DesignColumn(p.name, slot.term.term, drivers) for p in slot.free]
         return out
 
 

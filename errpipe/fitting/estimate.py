@@ -204,7 +204,7 @@ def _priors(problem: Problem, spec: ModelSpec) -> list[solve.Prior]:
         for prior in component.priors:
             for slot in problem.slots:
                 for k, p in enumerate(slot.free):
-                    if slot.block == b and p.name == prior.parameter and prior.concerns(slot.term):
+                    if slot.block == b and p.name == prior.parameter and prior.applies_to(slot.term):
                         priors.append(solve.Prior(slot.columns.start + k, prior.value, prior.spread))
     return priors
 

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.errors import DataError
 from errpipe.kernels import responses
 from errpipe.yamlfile import quantity
@@ -27,7 +27,7 @@ from errpipe.yamlfile import quantity
 SWEEPS = 3  # exchange sweeps per start (by judgement)
 
 
-class DesignOptions(Frozen):
+class DesignOptions(FrozenModel):
     """Permitted inputs of the machine, and candidate models."""
 
     highest_speed: float = quantity("rpm", "Of the spindle.", 6000.0, gt=0)

@@ -76,7 +76,7 @@ def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
     model = whole_model(sample, spec, np.ones(len(sample), dtype=bool), models)
     model = _widened(model, spec, source, sample)
     try:
-        folds = all_left_out(histories, source.manifest)
+        folds = leave_one_group_out(histories, source.manifest)
     except DataError as why:
         return without_interval(model, str(why))
     return calibrated(model, {h.component: [f.held_out for f in fs] for h, fs in zip(histories, folds, strict=True)})
@@ -167,7 +167,7 @@ def _widened(model: ErrorModel, spec: ModelSpec, source: Source, sample: Recordi
     return model.model_copy(update={"validity": validity})
 
 
-def all_left_out(histories: list[History], manifest: Manifest) -> list[list[Fold]]:
+def leave_one_group_out(histories: list[History], manifest: Manifest) -> list[list[Fold]]:
     """For each history every group, validated with parameters of the others. Raises DataError if that is impossible."""
     sample = histories[0].sample(manifest)
     drivers = list(dict.fromkeys(n for h in histories for s in h.slots for n in s.term.drivers(sample)))

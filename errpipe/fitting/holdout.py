@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from errpipe.domain.recording import Column, Frozen, Recording
+from errpipe.domain.recording import Column, FrozenModel, Recording
 from errpipe.errors import DataError, did_you_mean
 from errpipe.yamlfile import quantity
 
@@ -37,7 +37,7 @@ class Fold(NamedTuple):
     test: np.ndarray
 
 
-class HoldOut(Frozen):
+class HoldOut(FrozenModel):
     """The hold-out scheme of a recording.
 
     `auto`: leave-one-run-out with 3 to 30 runs, ten batches of runs with more, blocks of time

@@ -16,7 +16,7 @@ MAX_INFLATION = 200.0  # of a variance by the other columns: a correlation of 0.
 
 
 @dataclass(frozen=True)
-class Named:
+class DesignColumn:
     """One design column: parameter, term, the columns of the recording that drive it."""
 
     parameter: str
@@ -30,7 +30,7 @@ class Named:
 @one_thread()
 def check(
     design: np.ndarray,
-    names: Sequence[Named],
+    names: Sequence[DesignColumn],
     recording: Recording,
     *,
     component: str,
@@ -96,7 +96,7 @@ def _words(direction, scaled, names, recording, component) -> str:
     )
 
 
-def _is_constant(name: Named, component: str) -> str:
+def _is_constant(name: DesignColumn, component: str) -> str:
     what = " and ".join(name.drivers) or "its driver"
     return (
         f"fit: {name} of {component} cannot be estimated: {what} is zero or constant on all rows."
@@ -104,7 +104,7 @@ def _is_constant(name: Named, component: str) -> str:
     )
 
 
-def _why(one: Named, two: Named, recording: Recording) -> str:
+def _why(one: DesignColumn, two: DesignColumn, recording: Recording) -> str:
     first = [c for c in one.drivers if c not in two.drivers]
     second = [c for c in two.drivers if c not in one.drivers]
     for a in first:
@@ -119,7 +119,7 @@ def _why(one: Named, two: Named, recording: Recording) -> str:
     return "they are equivalent" if not first and not second else "their columns move together in every run"
 
 
-def _remedy(one: Named, two: Named, recording: Recording) -> str:
+def _remedy(one: DesignColumn, two: DesignColumn, recording: Recording) -> str:
     temperatures = set(recording.names("temperature"))
     first, second = set(one.drivers) & temperatures, set(two.drivers) & temperatures
     if not set(one.drivers) ^ set(two.drivers):

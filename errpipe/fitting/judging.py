@@ -50,7 +50,7 @@ class HeldOut:
         return float(np.sqrt(np.sum(values**2) / max(values.size - self.used, 1.0)))
 
 
-def judge(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOut]:
+def validate_fold(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOut]:
     """Fit on one side of a fold, test on the other, per component. Raises DataError if rows are on both.
 
     Terms are selected again on the fitted rows: held-out rows do not influence the selection either.
@@ -114,9 +114,11 @@ def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndar
 
 
 def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[str, list[HeldOut]]:
-    """`judge` for every fold of the specification's hold-out within the rows of a mask, see `judge_components`."""
+    """`validate_fold` for every fold of the specification's hold-out, within a mask; see `judge_components`."""
     folds = folds_of(recording, spec, mask)
-    return judge_components([c.component for c in spec.components], folds, lambda fold: judge(recording, spec, fold))[0]
+    return judge_components(
+        [c.component for c in spec.components], folds, lambda fold: validate_fold(recording, spec, fold)
+    )[0]
 
 
 def judge_components(

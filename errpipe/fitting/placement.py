@@ -34,7 +34,7 @@ def lag_free_place(loss: float) -> float:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class SensorPlacement:
     """Places for so many sensors, chosen on all groups; rms on held-out groups, in the error's unit."""
 
     places: tuple[int, ...]
@@ -42,7 +42,9 @@ class Chosen:
     groups: dict[str, float]
 
 
-def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> tuple[float, list[Chosen]]:
+def choose(
+    readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
+) -> tuple[float, list[SensorPlacement]]:
     """The uncompensated rms, and the best places for 1 to `most` sensors by forward selection.
 
     readings: (times, places), rises over the start of each duty cycle; error: (times,); group: (times,), the duty
@@ -64,7 +66,7 @@ def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
     chosen = []
     for places, by in zip(whole, squares, strict=True):
         rms = float(np.sqrt(sum(by[n] * rows[n] for n in by) / error.size))
-        chosen.append(Chosen(tuple(places), rms, {n: float(np.sqrt(v)) for n, v in by.items()}))
+        chosen.append(SensorPlacement(tuple(places), rms, {n: float(np.sqrt(v)) for n, v in by.items()}))
     return float(np.sqrt(np.mean(error**2))), chosen
 
 

@@ -52,7 +52,7 @@ def side_by_side(
         _inside.reset(token)
 
 
-def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+def prefetched(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
     """`work` of each item, in order: a few are computed ahead in another thread while the caller is busy.
 
     For results too large to be in memory all at once. Within `side_by_side`, or on one core, sequential.
@@ -76,7 +76,7 @@ def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
 class InTurn:
     """A context manager for one thread at a time; `left` is a value passed from one turn to the next.
 
-    The core of waiting threads is free for what is computed `ahead`.
+    The core of waiting threads is free for what is `prefetched`.
     """
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.fitting.holdout import HoldOut
 from errpipe.terms import TERMS, Term, plain
 from errpipe.yamlfile import quantity
@@ -17,7 +17,7 @@ else:
     AnyTerm = TERMS
 
 
-class PriorSpec(Frozen):
+class PriorSpec(FrozenModel):
     """Gaussian prior of a parameter with mean `value` and standard deviation `spread`."""
 
     term: str = Field(description="Id of the term.")
@@ -28,13 +28,13 @@ class PriorSpec(Frozen):
     value: float = quantity("of the parameter", "Expected value.")
     spread: float = quantity("of the parameter", "One standard deviation.", gt=0)
 
-    def concerns(self, term: Term) -> bool:
+    def applies_to(self, term: Term) -> bool:
         """Whether it is this term's parameter that is known."""
         fields = plain(term)
         return self.term == term.term and all(fields.get(key) == value for key, value in self.where.items())
 
 
-class ComponentSpec(Frozen):
+class ComponentSpec(FrozenModel):
     """The terms that one response is fitted with."""
 
     component: str = Field(description="Response of the recording, such as EXX or E_Z.")
@@ -44,7 +44,7 @@ class ComponentSpec(Frozen):
     @model_validator(mode="after")
     def _each_prior_has_one_term(self) -> ComponentSpec:
         for prior in self.priors:
-            terms = [t for t in self.terms if prior.concerns(t)]
+            terms = [t for t in self.terms if prior.applies_to(t)]
             if len(terms) != 1:
                 allowed = ", ".join(dict.fromkeys(t.term for t in self.terms)) or "none"
                 hint = "select one by `where`" if terms else f"allowed: {allowed}"
@@ -59,7 +59,7 @@ class ComponentSpec(Frozen):
         return self
 
 
-class ModelSpec(Frozen):
+class ModelSpec(FrozenModel):
     """A model to fit: one response or several, what is nuisance, and how to solve."""
 
     components: tuple[ComponentSpec, ...] = Field(min_length=1, description="Responses and their terms.")

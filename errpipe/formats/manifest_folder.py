@@ -24,7 +24,7 @@ from errpipe import files, jsonfile, yamlfile
 from errpipe.domain import units
 from errpipe.domain.batch import Batch
 from errpipe.domain.manifest_text import manifest_text
-from errpipe.domain.recording import Manifest, Past, Recording
+from errpipe.domain.recording import CarriedState, Manifest, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _derived, _tables
@@ -142,7 +142,7 @@ def iter_batches(
     read = [n for n in kept if not (runs and manifest.columns[n].role == "run")]
     labels = [n for n in read if manifest.columns[n].role in LABELS]
     timed = any(manifest.columns[n].role == "time" for n in kept)
-    past, at, ends = Past(), 0, np.cumsum(list((runs or {}).values()))
+    past, at, ends = CarriedState(), 0, np.cumsum(list((runs or {}).values()))
     try:
         table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
         for part in table.iter_batches(batch_size=rows, columns=read, use_threads=False):
@@ -154,7 +154,7 @@ def iter_batches(
             yield batch
             last = batch.run_stretches[0][-1]
             time = float(batch.time()[-1]) if timed else -1.0  # without a time, rows are counted from 0 in every batch
-            past, at = Past(last, time, past.later), at + part.num_rows
+            past, at = CarriedState(last, time, past.later), at + part.num_rows
     except (pa.ArrowException, OSError):
         raise DataError(f"{Path(folder) / TABLE}: not a Parquet file, or a damaged one") from None
 

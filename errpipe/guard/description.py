@@ -45,11 +45,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.guard.rules import AnyRule, Rule
 
 
-class GuardedSensor(Frozen):
+class GuardedSensor(FrozenModel):
     """One sensor. Units: the sensor's own (degC; differences K), s."""
 
     name: str
@@ -69,7 +69,7 @@ class GuardedSensor(Frozen):
         return next((r for r in self.rules if r.rule == kind), None)
 
 
-class SensorGuard(Frozen):
+class SensorGuard(FrozenModel):
     """Format version 4. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
 
     sensor_guard: Literal[4] = 4

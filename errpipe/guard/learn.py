@@ -15,7 +15,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.guard import description as g
-from errpipe.guard.rows import Healthy, rows_of
+from errpipe.guard.rows import HealthyReadings, rows_of
 from errpipe.guard.rules import FALSE_ALARMS, RULES, activity_of
 
 # Time constants, chosen on the turning centre with both seasons in view (examples/sensor-failure); largest ratio to
@@ -97,7 +97,7 @@ class _Test:
         return float(np.sum(self.threshold**2 / np.diag(self.precision)))
 
 
-def _test(rows: Healthy, per_hour: float) -> _Test:
+def _test(rows: HealthyReadings, per_hour: float) -> _Test:
     """The ridge with the smallest detectable faults, among those that separate the sensors; else the largest ridge."""
     recent = rows.x - rows.lagged(rows.x, HORIZON_S)
     tried = []
@@ -120,7 +120,7 @@ def _precision(values: np.ndarray, ridge: float) -> np.ndarray:
     return np.linalg.inv(square + ridge * size * np.eye(len(square)))
 
 
-def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
+def _estimate(rows: HealthyReadings) -> tuple[np.ndarray, np.ndarray]:
     """Weights (sensors, sensors) of the best estimates, and the largest residual since the start per sensor, K.
 
     Learnt from changes within a shift, because an estimate only continues a reading from where it was last
@@ -181,11 +181,11 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
     )
 
 
-def _hours(rows: Healthy) -> float:
+def _hours(rows: HealthyReadings) -> float:
     return float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
 
 
-def _believable(rows: Healthy, i: int) -> dict[str, float]:
+def _believable(rows: HealthyReadings, i: int) -> dict[str, float]:
     """Range and rate of one healthy reading."""
     x = rows.x[:, i]
     low, high = float(np.min(x)), float(np.max(x))

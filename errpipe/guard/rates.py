@@ -40,7 +40,7 @@ class ReadingRate:
     noise: float
 
 
-def learn(recording: Recording) -> dict[str, ReadingRate]:
+def estimate_rates(recording: Recording) -> dict[str, ReadingRate]:
     """Column -> rate and noise, for temperatures, pressures and humidities; without times the smallest of its role."""
     run = recording.run_codes()
     time = recording.time() if recording.name("time") is not None else np.full(len(recording), np.nan)

@@ -16,7 +16,7 @@ MAX_SHAPE = 0.25  # of the extreme-value law: a shorter tail is not used if hour
 
 
 @dataclass(frozen=True)
-class Healthy:
+class HealthyReadings:
     """Readings x, shape (rows, sensors), and per row the session, time (s) and hold-out group."""
 
     x: np.ndarray
@@ -65,11 +65,11 @@ class Healthy:
         return out
 
 
-def rows_of(recording: Recording, names: tuple[str, ...]) -> Healthy:
+def rows_of(recording: Recording, names: tuple[str, ...]) -> HealthyReadings:
     """The rows in which every sensor has a reading, grouped by run."""
     x = np.column_stack([recording.array(n) for n in names]) if names else np.zeros((len(recording), 0))
     whole = np.isfinite(x).all(axis=1)
-    return Healthy(x[whole], sessions(recording)[whole], recording.time()[whole], recording.run_codes()[whole])
+    return HealthyReadings(x[whole], sessions(recording)[whole], recording.time()[whole], recording.run_codes()[whole])
 
 
 def return_level(largest: np.ndarray, per_block: float, max_shape: float = MAX_SHAPE) -> float:

@@ -118,7 +118,7 @@ def fingerprint(column):
 
 
 @kernel
-def coloured(run, columns, phi, theta, gain):
+def unwhiten(run, columns, phi, theta, gain):
     """The inverse of `whiten`: columns (rows, k) as they were before the filter."""
     n, k = columns.shape
     out = np.empty((n, k))

@@ -53,7 +53,7 @@ def approach_target(output, own, target, dt):
 
 
 @bare_kernel
-def bound(magnitude, own, before):
+def limit_magnitude(magnitude, own, before):
     """Keep a correction within its magnitude, or within what another table left; True where it would have gone on."""
     most = max(magnitude, abs(before))
     if own.limited > most:
@@ -90,7 +90,7 @@ def limit(outputs, state, ramp, dt, replay, hold, bounds_last):
             before = own.limited
             if approach_target(output, own, target, dt):
                 status |= AT_RATE
-                if bounds_last and output.flags & HAS_MAGNITUDE and bound(output.magnitude, own, before):
+                if bounds_last and output.flags & HAS_MAGNITUDE and limit_magnitude(output.magnitude, own, before):
                     status |= AT_MAGNITUDE
         own.correction = own.limited * output.factor
     return status

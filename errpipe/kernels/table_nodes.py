@@ -10,7 +10,7 @@ from errpipe.kernels.elementary import exp, moved_side, on_lines, power
 
 
 @bare_kernel
-def recall(own, x, way, threshold, started):
+def undo_outlier(own, x, way, threshold, started):
     """Undo the effect of the last reading if it is a single outlier between two that agree, or a single direction."""
     if not started:
         own.last = own.before = x
@@ -111,11 +111,11 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
             if not started:
                 own.value, own.memory = node.b, u
             if recalls:
-                recall(own, u, 1 if known > 0.0 else -1 if known < 0.0 else 0, node.a, started)
+                undo_outlier(own, u, 1 if known > 0.0 else -1 if known < 0.0 else 0, node.a, started)
             u, own.memory = moved_side(u, known, own.value, own.memory, node.a)
         elif op == codes.APPROACH:
             if recalls:
-                recall(own, u, 0, node.b, started)
+                undo_outlier(own, u, 0, node.b, started)
             u = approach(own, node, u, state[operands[begin + 1].number].value, started)
         else:
             u = on_lines(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)

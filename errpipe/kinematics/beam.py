@@ -18,7 +18,7 @@ STEEL = (210e3, 0.3)  # Young's modulus, N/mm2; Poisson's ratio
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Section:
     """A prismatic part: length; diameter and bore, or width and height (in the direction of the force), mm."""
 
     length: float
@@ -54,7 +54,7 @@ class Support:
 
 
 def compliance(
-    parts: Sequence[Stretch],
+    parts: Sequence[Section],
     at: np.ndarray,
     support: Support | None = None,
     young: float = STEEL[0],
@@ -83,7 +83,7 @@ def compliance(
     return flexible[2 * np.searchsorted(nodes, np.round(np.clip(at, 0.0, ends[-1]), 9))] * UM_PER_MM
 
 
-def _element(part: Stretch, length: float, young: float, poisson: float) -> np.ndarray:
+def _element(part: Section, length: float, young: float, poisson: float) -> np.ndarray:
     bend = young * part.inertia()
     shear = part.shear_factor(poisson) * young / (2 * (1 + poisson)) * part.area()
     phi = 12 * bend / (shear * length**2)

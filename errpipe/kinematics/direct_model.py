@@ -44,7 +44,7 @@ def error_model(
         ranges[column] = (float(seen.min()), float(seen.max()))
         columns.append(column)
         curve, side = curves["curves"][name], recording.name("direction", axis=axis)
-        sign = records.sense(chain, name)
+        sign = records.component_sign(chain, name)
         terms = _curve(name, axis, curve, sign)
         if side is not None and name in curves.get("reversal", {}):
             columns.append(side)

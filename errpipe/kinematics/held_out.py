@@ -66,7 +66,7 @@ def groups(chain: Chain, obs: Observations) -> tuple[np.ndarray, tuple[str, ...]
     return number[run], names
 
 
-def judge(
+def cross_validate(
     model: Parametrisation,
     obs: Observations,
     group: np.ndarray,

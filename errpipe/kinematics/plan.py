@@ -23,7 +23,7 @@ MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
 @dataclass(frozen=True)
-class Means:
+class Equipment:
     """Equipment: a telescoping bar's reach (mm), tools, and durations (s; mm/min)."""
 
     reach: tuple[float, float] = (150.0, 1200.0)
@@ -54,19 +54,21 @@ class Plan:
     blocks: tuple[Block, ...]
     minutes: float
     open: tuple[observability.Unobserved, ...]
-    means: Means
+    means: Equipment
 
     def observations(self) -> o.Observations:
         """All blocks as one test without readings."""
         return o.concatenate([b.observations for b in self.blocks])
 
 
-def propose(chain: Chain, *, means: Means | None = None, without: tuple[str, ...] = (), positions: int = 40) -> Plan:
+def propose(
+    chain: Chain, *, means: Equipment | None = None, without: tuple[str, ...] = (), positions: int = 40
+) -> Plan:
     """A measuring plan for a telescoping bar.
 
     without: components not to be identified (growth). Raises DataError if the bar reaches no position.
     """
-    means = means or Means(tools=default_tools(chain))
+    means = means or Equipment(tools=default_tools(chain))
     rng = np.random.default_rng(0)
     blocks = []
     for socket in default_sockets(chain):
@@ -81,7 +83,7 @@ def propose(chain: Chain, *, means: Means | None = None, without: tuple[str, ...
     picked = tuple(blocks[i] for i in order)
     minutes = _seconds(picked, means) / 60.0
     test = o.concatenate([b.observations for b in picked])
-    result = observability.examine(chain, test, noise=means.noise, without=without)
+    result = observability.analyse_observability(chain, test, noise=means.noise, without=without)
     return Plan(chain, picked, minutes, result.unobserved, means)
 
 
@@ -117,7 +119,7 @@ def _box(chain: Chain) -> np.ndarray:
     return travel
 
 
-def _blocks(chain, socket, length, offset, means: Means, positions: int, rng) -> list[Block]:
+def _blocks(chain, socket, length, offset, means: Equipment, positions: int, rng) -> list[Block]:
     """Blocks within the bar's reach of one socket with one tool: two independent random samples of the volume."""
     box, tip = _box(chain), chain.tip(length, offset)
     q = rng.uniform(box[:, 0], box[:, 1], (positions * 60, len(chain.axes)))
@@ -150,7 +152,7 @@ def _short_path(q: np.ndarray, box: np.ndarray) -> np.ndarray:
     return q[order]
 
 
-def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
+def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> list[int]:
     """Greedy selection by information gain per second until all is observed or no block reaches MIN_GAIN."""
     p = len(gains[0])
     known = np.eye(p)
@@ -177,7 +179,7 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[
     return _pruned(chosen, gains, blocks, means)
 
 
-def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
+def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> list[int]:
     """The selection without redundant blocks (all observed combinations are kept), the slowest dropped first."""
 
     def unobserved(rows: list[int]) -> int:
@@ -192,7 +194,7 @@ def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], mea
     return kept
 
 
-def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Means) -> float:
+def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Equipment) -> float:
     new = blocks[i]
     socket = not any(blocks[j].socket == new.socket for j in chosen)
     tool = not any(
@@ -202,12 +204,12 @@ def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Means) 
     return _path_seconds(new, means) + socket * means.socket_change + tool * means.tool_change
 
 
-def _path_seconds(block: Block, means: Means) -> float:
+def _path_seconds(block: Block, means: Equipment) -> float:
     step = np.abs(np.diff(block.q, axis=0))
     return float(step.max(axis=1).sum()) / means.feed * 60.0 + means.dwell * len(block.q)
 
 
-def _seconds(blocks: Sequence[Block], means: Means) -> float:
+def _seconds(blocks: Sequence[Block], means: Equipment) -> float:
     total = sum(_path_seconds(b, means) for b in blocks)
     before = None
     for b in blocks:

@@ -196,7 +196,7 @@ def _repeatability(p: np.ndarray, value: np.ndarray, side: np.ndarray) -> float:
 def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -> o.Observations:
     n, c = len(r.position), parse(r.component)
     own = np.zeros((n, len(chain.components)))
-    own[:, chain.index(r.component)] = sense(chain, r.component)
+    own[:, chain.index(r.component)] = component_sign(chain, r.component)
     if c.kind == "positioning" or c.is_straightness:
         _add_arms(chain, own, r, laser or direct.Laser())
         _add_other_axes(chain, own, r, laser or direct.Laser())
@@ -256,7 +256,7 @@ def _both_directions(r: Record) -> bool:
     return len(set(number[r.side > 0]) & set(number[r.side < 0])) >= MIN_TARGETS_FROM_BOTH_SIDES
 
 
-def sense(chain: Chain, component: str) -> float:
+def component_sign(chain: Chain, component: str) -> float:
     """Sign of a record of a component relative to the component of the machine file, 1 or -1.
 
     -1 if the machine file counts the errors of a carriage that holds the workpiece, and for the positioning of an axis
@@ -287,7 +287,7 @@ def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> 
     reads = direct.direction_of(chain, r.component)
     for letter, about in ROTATIONS.items():
         name = f"E{letter}{r.axis}"
-        own[:, chain.index(name)] += sense(chain, name) * (np.cross(about, arm) @ reads) * 1e-3
+        own[:, chain.index(name)] += component_sign(chain, name) * (np.cross(about, arm) @ reads) * 1e-3
 
 
 def _add_other_axes(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> None:
@@ -367,7 +367,7 @@ def reversals(chain: Chain, setup: Mapping[str, tuple[float, float]]) -> dict[st
         component = component_of(name)
         slope, slope_error = setup[f"{name} per metre"]
         axis = direct.axis_of(component)
-        sign = sense(chain, component)
+        sign = component_sign(chain, component)
         out[component] = {
             "unit": parse(component).unit,
             "value": sign * value,

@@ -45,7 +45,7 @@ Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviat
 
 
 @dataclass(frozen=True)
-class Remaining:
+class ResidualError:
     """before, after: deviation fields of the simulated machine, without the workpiece's pose; rms and largest, um."""
 
     before: Field
@@ -70,7 +70,7 @@ def mirrored_places(chain: Chain, count: int, seed: int) -> np.ndarray:
     return chain.travel.mean(axis=1) + (sides[:, None] * base).reshape(-1, len(chain.axes))
 
 
-def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remaining:
+def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> ResidualError:
     """Error of the true machine before and after compensation by `model`, each minus its best-fitting rigid pose."""
 
     def true(q: np.ndarray) -> np.ndarray:
@@ -86,7 +86,7 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remain
         size = np.linalg.norm(field(q), axis=1)
         figures[f"{name}_rms_um"] = float(np.sqrt(np.mean(size**2)))
         figures[f"{name}_largest_um"] = float(size.max())
-    return Remaining(before, after, figures)
+    return ResidualError(before, after, figures)
 
 
 def without_pose(chain: Chain, field: Field, q: np.ndarray) -> Field:
@@ -265,7 +265,7 @@ def truth_document(chain: Chain, values: Mapping[str, Any]) -> dict[str, Any]:
     return {"truth": 1, "machine": chain.machine.name, "curves": curves, "constants": constants}
 
 
-def truth(chain: Chain, document: Mapping[str, Any]) -> MachineErrors | None:
+def simulated_truth(chain: Chain, document: Mapping[str, Any]) -> MachineErrors | None:
     """The simulated machine of `truth_document`; None if it is another machine."""
     if document.get("machine") != chain.machine.name:
         return None

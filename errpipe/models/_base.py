@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -58,7 +58,7 @@ class Grid(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Judged:
+class BatchFolds:
     """Folds of a recording read batch by batch. scheme: name of the hold-out; by component: folds; rows of the
     sample with the row of the recording of each, (rows,); largest deviation before and after in each fold, (folds, 2).
     """
@@ -78,7 +78,7 @@ class Fitted:
     summary: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Family(Frozen, ABC):
+class Family(FrozenModel, ABC):
     """Base of every model family; the fields of a subclass are its options, `family` is its name.
 
     documents: names of the JSON files that its fit adds. seasonal: whether `train` returns a predictor of the deviation
@@ -135,7 +135,7 @@ class Family(Frozen, ABC):
         return holdout.name(chosen), holdout.groups(recording, chosen)
 
     @abstractmethod
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on the training rows of a fold, validate on its test rows; component -> held-out residuals."""
 
     def in_batches(self, source: Source) -> bool:
@@ -146,7 +146,7 @@ class Family(Frozen, ABC):
         """`fit` of a recording that is read batch by batch."""
         raise TypeError(f"{self.family_name()} is not fitted in batches")
 
-    def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
+    def judge_batches(self, source: Source, scheme: HoldOut | None) -> BatchFolds:
         """Every fold of a recording read batch by batch; without a scheme, the family's own."""
         raise TypeError(f"{self.family_name()} is not judged in batches")
 

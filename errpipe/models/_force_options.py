@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import FrozenModel, Recording
 from errpipe.errors import DataError
 from errpipe.yamlfile import quantity
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from errpipe.kinematics import beam
 
 
-class Section(Frozen):
+class Section(FrozenModel):
     """A prismatic part of a shaft or tool: round by `diameter`, else rectangular by `width` and `height`."""
 
     length: float = quantity("mm", "Along the axis.", gt=0)
@@ -31,7 +31,7 @@ class Section(Frozen):
         return self
 
 
-class Body(Frozen):
+class Body(FrozenModel):
     """A stepped shaft or tool, from its clamped end outwards."""
 
     sections: tuple[Section, ...] = Field(min_length=1, max_length=100, description="From the clamped end outwards.")
@@ -46,7 +46,7 @@ class Body(Frozen):
 
         from errpipe.kinematics import beam
 
-        parts: list[beam.Stretch] = [beam.Stretch(**s.model_dump()) for s in self.sections]
+        parts: list[beam.Section] = [beam.Section(**s.model_dump()) for s in self.sections]
         support = beam.Support(self.clamp_stiffness, self.clamp_turning, self.tailstock)
         where = np.array([self.length]) if places is None else places
         try:
@@ -60,7 +60,7 @@ class Body(Frozen):
         return sum(s.length for s in self.sections)
 
 
-class ForceOptions(Frozen):
+class ForceOptions(FrozenModel):
     """Options of the family in a pipeline file."""
 
     family: Literal["force"] = Field("force", description="Model family.")

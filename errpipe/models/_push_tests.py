@@ -28,7 +28,7 @@ NAMES = ("level", "per_m", "per_m2")
 
 
 @dataclass(frozen=True)
-class Pushes:
+class PushTests:
     """Rows of push tests: force (N), lever (m), by part its deviation minus its run's zero (um), all (rows,).
 
     known: by part the computed compliance of the bodies of the tests, um/N (rows,).
@@ -66,7 +66,7 @@ def whole(parts: Mapping[str, Structure]) -> Structure:
     return Structure(values, errors, float(np.sqrt(sum(p.noise**2 for p in parts.values()))))
 
 
-def read(options: ForceOptions, recording: Recording) -> Pushes:
+def read(options: ForceOptions, recording: Recording) -> PushTests:
     """The rows of a recording. Raises DataError for a missing force, gauge or position.
 
     A run's zero is its reading at zero force, from its own regression line over the force.
@@ -89,7 +89,7 @@ def read(options: ForceOptions, recording: Recording) -> Pushes:
         known[work] = known[work] + options.pushed_workpiece.at(away)
     if options.pushed_tool is not None:
         known[WHOLE] = known[WHOLE] + options.pushed_tool.at()
-    return Pushes(force, away * 1e-3, deviation, known)
+    return PushTests(force, away * 1e-3, deviation, known)
 
 
 def _gauges(options: ForceOptions, recording: Recording) -> dict[str, str]:
@@ -136,7 +136,7 @@ def solve(options: ForceOptions, recording: Recording, rows: np.ndarray) -> dict
     return {part: _part(options, pushes, part, rows) for part in pushes.deviation}
 
 
-def _part(options: ForceOptions, pushes: Pushes, part: str, rows: np.ndarray) -> Structure:
+def _part(options: ForceOptions, pushes: PushTests, part: str, rows: np.ndarray) -> Structure:
     """Least squares of the residual of the pushed bodies over force times powers of the lever, selected by BIC."""
     force, lever, deviation = pushes.force, pushes.lever, pushes.deviation[part]
     use = rows & np.isfinite(force) & np.isfinite(lever) & np.isfinite(deviation)

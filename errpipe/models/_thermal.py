@@ -117,7 +117,7 @@ class ThermalFamily(Family):
         summary += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
         return Fitted(model, {COMPETITION: document}, {self.component: summary})
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Compete and fit on one side of a fold, validate on the other.
 
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.

@@ -48,13 +48,13 @@ class Direct(Family):
         name, splits = direct_folds(recording)
         return name, [Fold(*fold) for fold in splits]
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, validate on the other."""
         from errpipe.fitting.judging import HeldOut
         from errpipe.kinematics.chain import compile_chain
 
         chain = compile_chain(self.machine)
-        held = judge(chain, recording, fold.train, fold.test, modes=self.modes, lasers=self.lasers)
+        held = validate_fold(chain, recording, fold.train, fold.test, modes=self.modes, lasers=self.lasers)
         return {x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in held}
 
 
@@ -68,7 +68,7 @@ class HeldOutComponent:
     after: np.ndarray
 
 
-def judge(
+def validate_fold(
     chain: Chain,
     recording: Recording,
     train: np.ndarray,

@@ -59,7 +59,7 @@ class Force(ForceOptions, Family):
         worst = max(curve["um_per_N"])
         return Fitted(model, {FIGURES: document}, {self.component: f"at most {1e3 * worst:.3g} um/kN"})
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """The structure from one side, validated on the deflections of the other; zero is that of each run."""
 
         from errpipe.models import _push_tests as push

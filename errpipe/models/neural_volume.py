@@ -62,7 +62,7 @@ class NeuralVolume(Family):
         choice = "nothing" if penalty is None else f"{self.units} units, penalty {penalty:g}"
         return Fitted(model, {}, dict.fromkeys(self.components, f"{choice} on held-out groups"))
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Train on one side of a fold (penalty included), validate on the other."""
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import box, distance

@@ -83,7 +83,7 @@ class Plate(Family):
         ]
         return f"one plate, every {self.every}th hole in turn", out
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """A plate's shift and rotation come from its fitted holes, or from the test holes if none was fitted."""
 
         from errpipe.fitting.design import response_name

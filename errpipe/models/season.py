@@ -116,7 +116,7 @@ class Season(Family):
         remaining = "no run could be held out" if left is None else f"-> {left:.3g} um on each held-out run"
         return Fitted(model, {CAUSES: document}, {self.component: f"{fitted.report['rms_before']:.3g} {remaining}"})
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, validate on the other; deviations count from the start of each run."""
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import distance

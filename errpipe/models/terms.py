@@ -9,7 +9,7 @@ from pydantic import Field
 
 from errpipe.errors import DataError
 from errpipe.fitting.spec import ModelSpec
-from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, no_progress
+from errpipe.models._base import BatchFolds, Family, Fitted, Progress, fit_summary, no_progress
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
@@ -65,11 +65,11 @@ class Terms(ModelSpec, Family):
         fitted = model.fit(self._response(_as_read(recording)), self)
         return Fitted(fitted, summary=fit_summary(fitted))
 
-    def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Select and fit on one side of a fold, judge on the other."""
         from errpipe.fitting import judging
 
-        return judging.judge(self._response(_as_read(recording)), self, fold)
+        return judging.validate_fold(self._response(_as_read(recording)), self, fold)
 
     def in_batches(self, source: Source) -> bool:
         """Longer than `rows_in_memory`. Raises DataError if that was set and something is not possible in batches."""
@@ -92,7 +92,7 @@ class Terms(ModelSpec, Family):
         fitted = history.fitted(multirate.held(source), self, self._response)
         return Fitted(fitted, summary=fit_summary(fitted))
 
-    def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
+    def judge_batches(self, source: Source, scheme: HoldOut | None) -> BatchFolds:
         """Every fold of a recording that is read batch by batch."""
         from errpipe.fitting import batches, history, holdout, multirate
         from errpipe.fitting.source import survey
@@ -100,10 +100,10 @@ class Terms(ModelSpec, Family):
         source = multirate.held(source)
         layout = survey(source, self, scheme)
         gathered = batches.gather(source, self, layout, self._response)
-        folds = history.all_left_out(gathered, source.manifest)
+        folds = history.leave_one_group_out(gathered, source.manifest)
         worst = history.largest_deviations(source, gathered, folds, self._response)
         names = [h.component for h in gathered]
-        return Judged(
+        return BatchFolds(
             holdout.name(layout.scheme),
             dict(zip(names, folds, strict=True)),
             {h.component: (h.sample(source.manifest), h.rows_of_recording()) for h in gathered},

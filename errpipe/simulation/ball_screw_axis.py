@@ -57,7 +57,7 @@ def simulate(seed: int = 1, truth: Truth = Truth()) -> Simulated:
     screw = heat.Screw()
     program = _program()
     air = _room(program.end, rng)
-    warm = heat.conduct(screw, program.speed, program.low, program.high, air, float(air[0]))
+    warm = heat.simulate_temperatures(screw, program.speed, program.low, program.high, air, float(air[0]))
     at = np.minimum((program.row_time / heat.STEP).astype(int), warm.time.size - 1)
     growth = heat.growth(screw, warm.screw[at], program.x)
     exact = _geometry(truth, program.x) + growth + truth.seat * (warm.bearing[at] - 20.0)

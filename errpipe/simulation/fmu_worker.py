@@ -176,7 +176,7 @@ def threads_of(user: int) -> int:
     return total
 
 
-def become(user: int) -> None:
+def drop_privileges(user: int) -> None:
     """Drop root's rights for good, and the ability to regain any; at most MAX_THREADS more threads."""
     import resource
 
@@ -191,7 +191,7 @@ def become(user: int) -> None:
         os.setuid(user)
 
 
-def confine(folder: str) -> None:
+def restrict_writes(folder: str) -> None:
     """Let this process and its children write only below one folder (Linux' Landlock; elsewhere without effect)."""
     import ctypes
 
@@ -272,8 +272,8 @@ def supervise(control: int, user: int, disk_mb: int) -> None:
     child = os.fork()
     if child == 0:
         os.close(control)
-        become(user)
-        confine(".")
+        drop_privileges(user)
+        restrict_writes(".")
         serve()
         os._exit(0)
     for handle in (0, 1):

@@ -39,7 +39,7 @@ class Temperatures:
     air: np.ndarray
 
 
-def conduct(
+def simulate_temperatures(
     screw: Screw, speed: np.ndarray, low: np.ndarray, high: np.ndarray, air: np.ndarray, start: float
 ) -> Temperatures:
     """Temperatures of a moving axis.

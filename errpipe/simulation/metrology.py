@@ -2,7 +2,7 @@
 
 A machine's errors are smooth random functions (sums of cosines of random frequency and phase), in the
 conventions of `kinematics.chain` but outside every basis that identification fits. Each protocol is a list of
-`Run`s; `record` simulates it and returns the recording a measuring system would write.
+`Run`s; `simulate_runs` simulates it and returns the recording a measuring system would write.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def components_at(chain: Chain, values: Values, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def record(
+def simulate_runs(
     chain: Chain,
     values: Values,
     protocol: str,

@@ -19,7 +19,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive, runs_on
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
-from errpipe.drivers.simulated import Late, Ringing, between
+from errpipe.drivers.simulated import DelayDifference, Ringing, between
 
 CURVE_ERROR = 1e-4  # of a profile's largest value: error bound of linear interpolation between its points
 MAX_POINTS = 65536  # of a profile: 2048 waves of 32 points
@@ -33,7 +33,7 @@ class Piece:
     component: str
     unit: str
     summary: str
-    pairs: tuple[Lowered | Ringing | Late, ...]
+    pairs: tuple[Lowered | Ringing | DelayDifference, ...]
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -89,7 +89,7 @@ class Program:
     def _sum(self, of: tuple[int, ...], weights: tuple[float, ...]) -> int:
         return self.add("affine", of, offset=0.0, weights=weights)
 
-    def _simulated(self, op: Ringing | Late) -> int:
+    def _simulated(self, op: Ringing | DelayDifference) -> int:
         if isinstance(op, Ringing):
             read = self.add("input", name=op.name)
             rings = self.add("ringing", (read,), frequency=op.frequency, damping=op.damping, pause=op.pause)

@@ -107,7 +107,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
     decision = Decision(response.component, f)
     if f.effect == "unknown":
         return decision.refused(UNKNOWN)
-    confident = f.sure() >= accept.confidence
+    confident = f.group_confidence() >= accept.confidence
     holdout = response.holdout
     worse = holdout.rms_after_um >= holdout.rms_before_um
     if f.effect == "recalibration":
@@ -122,7 +122,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
         as_nuisance = confident and bool(terms) and all(t.nuisance for t in terms)
         return replace(decision, terms=terms, reason=reason, as_nuisance=as_nuisance)
     if not confident:
-        return decision.refused(f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
+        return decision.refused(f"its confidence of {f.group_confidence():.2f} is below {accept.confidence:.2f}")
     if worse:
         detail = f"{holdout.rms_before_um:.3g} -> {holdout.rms_after_um:.3g} {response.unit}"
         return decision.refused(f"held-out rows are no better explained with it ({detail})")

@@ -290,7 +290,7 @@ def _within_travel(read: Any, table: CompensationTable) -> Any:
 
 def _reference_state(table: CompensationTable) -> str:
     """The readings at which the expected corrections hold."""
-    start, moving = _sample.middle(table), set(_sample.positions_of(table).values())
+    start, moving = _sample.reference_readings(table), set(_sample.positions_of(table).values())
     steady = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
     if not steady:
         return "Nothing else matters to it: no temperature, no speed."

@@ -104,7 +104,7 @@ def _table_of(
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
         inputs=inputs,
         travel=_inputs.travel(placed),
-        turning=_inputs.turning(placed),
+        turning=_inputs.modulo_axes(placed),
         limited=_inputs.limited(placed),
         error_bound=options.error_bound,
         position_cycle_s=options.position_cycle,
@@ -124,7 +124,7 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
 
     sentences = []
     curved = {p.axis for p in pairs if p.axis is not None and p.profile is not None and not p.period}
-    for axis in sorted(_inputs.turning(model) & curved):
+    for axis in sorted(_inputs.modulo_axes(model) & curved):
         low, high = _inputs.travel(model)[axis]
         places = np.empty(0)
         if recording is not None:

@@ -86,7 +86,7 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
     from errpipe.thermal.arithmetic import longest_silence, short_gaps_held
 
     names = [n for role in rates.ROLES for n in recording.names(role)]
-    return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)
+    return rates.estimate_rates(short_gaps_held(recording, names)), longest_silence(recording, names)
 
 
 def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | None) -> TableInput:
@@ -204,7 +204,7 @@ def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording 
     return model
 
 
-def turning(model: ErrorModel) -> set[str]:
+def modulo_axes(model: ErrorModel) -> set[str]:
     """Rotary axes with a stated travel of a turn or more (modulo axes)."""
     return {axis for axis, length in _stated_turns(model).items() if length >= TURN}
 

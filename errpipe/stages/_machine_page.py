@@ -16,7 +16,7 @@ from errpipe.kinematics import direct, identify, readings, records, remaining, s
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors, positions_of
 from errpipe.kinematics.identify import Identified
-from errpipe.kinematics.remaining import Remaining
+from errpipe.kinematics.remaining import ResidualError
 from errpipe.pipeline.stage import Context
 from errpipe.reporting import machine_figures
 from errpipe.reporting.page import render
@@ -32,7 +32,7 @@ class Solved:
     found: Identified
     document: dict[str, Any]
     tests: dict[str, Any]
-    remaining: Remaining | None
+    remaining: ResidualError | None
 
 
 @one_thread()  # two on a busy machine take ten times as long, and their last bits change
@@ -79,7 +79,7 @@ def _truth(chain: Chain, context: Context) -> MachineErrors | None:
     documents = [jsonfile.read(f / _artefacts.TRUTH) for f in folders.values()]
     if not documents or len(documents) != len(context.every("recordings")):
         return None
-    return remaining.truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
+    return remaining.simulated_truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
 
 
 def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, dict[str, Any]]:
@@ -105,7 +105,7 @@ def page(solved: Solved, title: str) -> str:
     """The machine drawn, its error as vectors and slices before and after, every component, what was not seen."""
     chain, identified, document = solved.chain, solved.found, solved.document
     errors = identified.errors()
-    figures = [("The machine", machine_figures.sketch(chain), _component_counts(chain))]
+    figures = [("The machine", machine_figures.machine_sketch(chain), _component_counts(chain))]
     figures += _volume(solved, errors)
     figures += [_component_figure(solved, errors)]
     for test in solved.tests.values():

@@ -61,7 +61,7 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
     plausibility.refuse(results, allow)
 
 
-class _Largest:
+class _LargestCorrection:
     """The largest correction of an axis, mm (deg), and its sentence; the first one of nearly equal size is used."""
 
     def __init__(self, axis: str) -> None:
@@ -77,9 +77,9 @@ class _Largest:
                 self.sentence = _sentence(self.axis, name, float(at[k]), of, -float(corrections[k]), unit)
 
 
-def _largest(table: CompensationTable, axis: str) -> _Largest:
+def _largest(table: CompensationTable, axis: str) -> _LargestCorrection:
     """Of the corrections of an axis in the reference state."""
-    names, out = _sample.positions_of(table), _Largest(axis)
+    names, out = _sample.positions_of(table), _LargestCorrection(axis)
     for over in _sample.axes_own_first(table, axis):
         low, high = _sample.span(table, over)
         if (low, high) == UNBOUNDED:
@@ -139,7 +139,7 @@ def of_files(read: Any, table: CompensationTable) -> list[str]:
     cold = {line.sensor: np.full(PLACES, line.reference) for line in read.lines}
     out = []
     for axis in read.axes():
-        largest = _Largest(axis)
+        largest = _LargestCorrection(axis)
         for over, (low, high) in sorted(spans.items(), key=lambda item: item[0] != axis):
             at = {name: np.full(PLACES, (a + b) / 2) for name, (a, b) in spans.items()}
             at[over] = np.linspace(low, high, PLACES)

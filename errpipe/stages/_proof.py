@@ -17,7 +17,7 @@ from errpipe.fitting.statistics import rms
 from errpipe.stages.predict import table_values
 from errpipe.tables import bounds
 from errpipe.thermal.arithmetic import held_readings, short_gaps_held
-from errpipe.validation.gate import Passed
+from errpipe.validation.gate import GatedModel
 
 ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
 
@@ -79,7 +79,7 @@ def _within_validity(table: CompensationTable, recording: Recording) -> Recordin
     return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 
 
-def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
+def remarks(proof: Sequence[Mapping[str, Any]], passed: GatedModel) -> list[str]:
     """Where the table's guards hold it back on its own recording, in words.
 
     Raises VerifyError if the table without guards differs from the model by more than its bound, and GateError

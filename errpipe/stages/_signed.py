@@ -41,7 +41,7 @@ class SignOptions(Options):
             raise ValueError("`signed: required` needs it")
         return value
 
-    def seal(self, table: CompensationTable, path: Path) -> tuple[str, ...]:
+    def write_signature(self, table: CompensationTable, path: Path) -> tuple[str, ...]:
         """Write the signature next to the table's file; returns remarks for controllers' files, () if none is required.
 
         Raises VerifyError if there is no signature, or it is not of this table by this key.

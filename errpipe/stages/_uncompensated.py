@@ -83,10 +83,10 @@ def _by_files(
     Raises UsageError for formats that no controller has together, DataError for a component that shares its axis with
     another one: a file holds only their sum.
     """
-    from errpipe.stages.targets import chosen, files_in_effect, refuse_apart
+    from errpipe.stages.targets import chosen, files_in_effect, refuse_incompatible
 
     parts = chosen(list(dict.fromkeys(formats)))
-    refuse_apart(parts, "compensated_as")
+    refuse_incompatible(parts, "compensated_as")
     read = files_in_effect(table, parts, entered=entered)
     if isinstance(read, WholeTable):
         return _by_table(recording, read.table)

@@ -56,7 +56,9 @@ def diagnose(
     half = 1.0 if apply is None else 0.5
     try:
         read, notes, parameters = with_simulation(manifest_folder.read(Path(recording)), simulation)
-        document, page, diagnosis, held = judged(read, lambda share, text: progress(half * share, text), notes)
+        document, page, diagnosis, held = diagnose_recording(
+            read, lambda share, text: progress(half * share, text), notes
+        )
     except DataError as err:
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
@@ -106,7 +108,7 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     }
 
 
-def judged(
+def diagnose_recording(
     recording: Recording, progress: Callable[[float, str], None], notes: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], str, Diagnosis, list[Any]]:
     """diagnosis.json as plain data, the page, the findings, and what each simulated signal is a sum of.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.table import CompensationTable
     from errpipe.stages._guarded import TableGuard
-    from errpipe.validation.gate import Passed
+    from errpipe.validation.gate import GatedModel
 
 
 class Export(CompileOptions, SignOptions, Stage):
@@ -113,24 +113,24 @@ def _no_axis(names: Sequence[str]) -> str:
     return f"no axis corrects {' and '.join(names)}: state the axis, such as {stated}"
 
 
-def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, context: Context) -> Passed:
+def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, context: Context) -> GatedModel:
     """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated.
 
     fits: the models of which it is composed, each with its validations.
     """
     from errpipe.fitting.recalibration import with_readings
-    from errpipe.validation.gate import Passed, not_judged, pass_gate
+    from errpipe.validation.gate import GatedModel, not_validated, pass_gate
 
     folders = context.every("validation").values()
     validations: list[dict[str, Any]] = []
     for fit in fits:
         own = _artefacts.validations_of(fit, folders)
         if not own and not options.ungated:
-            raise not_judged(fit)
+            raise not_validated(fit)
         validations += own
     if options.ungated:
         title = _artefacts.ungated_title(model.title)
-        passed = Passed(model.model_copy(update={"title": title}), (), ())
+        passed = GatedModel(model.model_copy(update={"title": title}), (), ())
     else:
         passed = pass_gate(model, validations)
     if options.readings_per_shift is None:
@@ -139,7 +139,7 @@ def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, contex
 
 
 def _guard_of(
-    options: Export, passed: Passed, plain: CompensationTable, recording: Recording, context: Context
+    options: Export, passed: GatedModel, plain: CompensationTable, recording: Recording, context: Context
 ) -> TableGuard | None:
     """The guard of a table's temperatures, written beside it; None where it reads none.
 
@@ -154,7 +154,7 @@ def _guard_of(
     context.progress(0.2, "regressing each temperature on the others")
     folders = context.every("validation").values()
     schemes = (jsonfile.read(folder / _artefacts.VALIDATION)["scheme"] for folder in folders)
-    chosen = _guarded.choose_guard(_guarded.judge(passed, options, recording, plain), next(schemes, None))
+    chosen = _guarded.choose_guard(_guarded.guard_reference(passed, options, recording, plain), next(schemes, None))
     if options.guard and (chosen.guard is None or not chosen.guard.compares):
         raise GateError(f"export: guard: true: {chosen.sentence}")
     if chosen.guard is not None:
@@ -165,7 +165,7 @@ def _guard_of(
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict[str, str]]:
     _artefacts.write_table(context.folder, table)
     context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
-    remarks = options.seal(table, context.folder / _artefacts.TABLE)
+    remarks = options.write_signature(table, context.folder / _artefacts.TABLE)
     files = [
         {"file": _artefacts.TABLE, "what": "compensation table, binary", "error": "0", "read_back": "equal"},
         {"file": _artefacts.TWIN, "what": "its JSON twin", "error": "0", "read_back": "equal"},

@@ -80,13 +80,13 @@ class ExportVolumetric(SignOptions, Stage):
         )
         _plausible.refuse_table(table, self.allow, self.limit)
         worst, allowed = largest_difference(chain, errors, table, reversal_lines), bound(chain, table)
-        prove(worst, allowed)
+        verify_bound(worst, allowed)
         _artefacts.write_table(context.folder, table)
         missed = curve_misfit(chain, document)
         stated = {"bound_um": allowed + missed, "interpolation_um": allowed, "unfollowed_um": missed}
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
-        remarks = self.seal(table, context.folder / _artefacts.TABLE)
+        remarks = self.write_signature(table, context.folder / _artefacts.TABLE)
         left_out = [axis for axis in chain.machine.correcting_axes() if axis not in axes]
         left_out += [component for component in chain.components if component not in factors]
         in_part = {name: factor for name, factor in factors.items() if factor < 1.0}
@@ -264,7 +264,7 @@ def largest_difference(
     return float(np.linalg.norm(difference, axis=1).max())
 
 
-def prove(worst: float, allowed: float) -> None:
+def verify_bound(worst: float, allowed: float) -> None:
     """Raises VerifyError if a proof is larger than its bound: the table is not the machine that was identified."""
     if not worst <= allowed + ROUNDING:
         raise VerifyError(

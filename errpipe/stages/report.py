@@ -241,7 +241,7 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    says, of = term.says(fitted.values()), _bound_to(term)
+    says, of = term.sentence(fitted.values()), _bound_to(term)
     return {"says": says, "equation": equation(type(term)), "of": of, "parameters": parameters}
 
 

@@ -67,7 +67,7 @@ class SimulateTest(Stage):
             runs = measuring_runs.cloud(chain, self.points, self.seed)
         else:
             runs = measuring_runs.PROTOCOLS[self.protocol](chain)
-        return metrology.record(chain, values, self.protocol, runs, self.seed, noise=self.noise)
+        return metrology.simulate_runs(chain, values, self.protocol, runs, self.seed, noise=self.noise)
 
     def _direct(self, chain: Any, values: Any) -> Any:
         from errpipe.simulation import direct_records as d

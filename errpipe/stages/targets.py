@@ -58,7 +58,7 @@ def compare_targets(table: Path) -> dict[str, Any]:
     return {"comparison": rows, "says": [_line(row) for row in rows]}
 
 
-def together(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
+def target_combinations(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
     """Every combination of two or more targets that one controller adds up."""
 
     targets = tuple(targets)
@@ -74,7 +74,7 @@ def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list
     return files, sum(rest, start=first)
 
 
-def refuse_apart(parts: Sequence[Any], option: str) -> None:
+def refuse_incompatible(parts: Sequence[Any], option: str) -> None:
     """Raise UsageError for targets whose files no controller adds up."""
     for a, b in combinations(parts, 2):
         if b.name not in a.goes_with and a.name not in b.goes_with:
@@ -93,7 +93,7 @@ def files_in_effect(table: CompensationTable, parts: Sequence[Any], *, entered: 
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
     best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
-    for parts, lost in _combined_losses(table, together(TARGETS)):
+    for parts, lost in _combined_losses(table, target_combinations(TARGETS)):
         size, names = _squares(lost), tuple(p.name for p in parts)
         family = min((names[0], *parts[0].goes_with))
         if family not in best or size < best[family][0]:
@@ -190,7 +190,7 @@ def write_targets(
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
         happens = consequences(read, kept)
         steps = checklist(target, read, lost, kept, others)
-        hint = _with_companions(kept, target, others) if others else sibling(table, target, lost)
+        hint = _with_companions(kept, target, others) if others else better_formats(table, target, lost)
         steps += "".join(f"\n{sentence}\n" for sentence in (*(f"**{x}.**" for x in worse), hint, note) if sentence)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
@@ -243,13 +243,13 @@ def _entered(table: CompensationTable, parts: Sequence[Any], files: Sequence[dic
     )
 
 
-def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
+def better_formats(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
     """Which formats of the same controller express what this one loses, in a sentence; "" where that is little."""
     worst = max(lost, key=lambda x: x["rms_um"] / max(x["table_rms_um"], 1e-9), default=None)
     if worst is None or worst["rms_um"] < max(LARGE_SHARE * worst["table_rms_um"], LARGE_UM):
         return ""
     best: tuple[float, str, str] | None = None
-    for parts, lost_together in _combined_losses(table, (c for c in together(TARGETS) if target in c)):
+    for parts, lost_together in _combined_losses(table, (c for c in target_combinations(TARGETS) if target in c)):
         size = _squares(lost_together)
         if best is None or size < 0.9 * best[0]:
             best = size, ", ".join(o.name for o in parts if o is not target), in_words(lost_together)

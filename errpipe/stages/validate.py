@@ -68,11 +68,11 @@ class Validate(Stage):
         if source is not None and family.in_batches(source):
             if self.iso230_2:
                 raise DataError("validate: the figures of ISO 230-2 need the whole recording (raise rows_in_memory)")
-            document, rows = held_out.judged_in_batches(source, family, self.holdout)
+            document, rows = held_out.cross_validate_in_batches(source, family, self.holdout)
             write_rows(context.folder / HELD_OUT, rows)
             return document | {"model": _artefacts.fingerprint_of(model)}
         recording = _artefacts.recording_in(at)
-        document, rows = held_out.judged(recording, family, self.holdout, progress=context.progress)
+        document, rows = held_out.cross_validate(recording, family, self.holdout, progress=context.progress)
         if self.iso230_2:
             from errpipe.validation import iso230_2
 
@@ -94,7 +94,7 @@ def _of_machine(context: Context, folder: Path) -> dict[str, Any]:
 
     document = jsonfile.read(folder / IDENTIFICATION)
     tests = {name: _artefacts.recording_in(at) for name, at in context.every("recordings").items()}
-    figures = machine.judged(yamlfile.load(folder / MACHINE, Machine), document, tests, context.progress)
+    figures = machine.cross_validate(yamlfile.load(folder / MACHINE, Machine), document, tests, context.progress)
     return {"identification": jsonfile.fingerprint(document), "tests": figures}
 
 

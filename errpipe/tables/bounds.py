@@ -76,7 +76,7 @@ def largest(span: Span) -> float:
 
 
 @dataclass(frozen=True)
-class Reach:
+class DeviationBounds:
     """Bounds of one component or output in um or urad: of its deviation, and of what gridding and rounding add."""
 
     name: str
@@ -85,7 +85,7 @@ class Reach:
     gridding: float
 
 
-def components(table: t.CompensationTable) -> tuple[Reach, ...]:
+def components(table: t.CompensationTable) -> tuple[DeviationBounds, ...]:
     """Largest deviation and error of every component, by interval arithmetic (never too small)."""
     spans = node_spans(table.nodes, table.inputs, table.table)
     out = []
@@ -97,11 +97,11 @@ def components(table: t.CompensationTable) -> tuple[Reach, ...]:
                 factor = largest(spans[pair.driver])
                 deviation += factor * profile.scale * max(abs(v) for v in profile.values)
                 gridding += factor * (profile.interpolation_error + profile.rounding_error)
-        out.append(Reach(component.name, component.unit, deviation, gridding))
+        out.append(DeviationBounds(component.name, component.unit, deviation, gridding))
     return tuple(out)
 
 
-def outputs(table: t.CompensationTable) -> tuple[Reach, ...]:
+def outputs(table: t.CompensationTable) -> tuple[DeviationBounds, ...]:
     """Largest deviation and error of every output, by interval arithmetic (never too small)."""
     spans = node_spans(table.nodes, table.inputs, table.table)
     reach = {c.name: c for c in components(table)}
@@ -114,7 +114,7 @@ def outputs(table: t.CompensationTable) -> tuple[Reach, ...]:
                 factor *= largest(spans[node])
             deviation += factor * reach[term.component].deviation
             gridding += factor * reach[term.component].gridding
-        out.append(Reach(output.name, output.unit, deviation, gridding))
+        out.append(DeviationBounds(output.name, output.unit, deviation, gridding))
     return tuple(out)
 
 

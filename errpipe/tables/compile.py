@@ -89,7 +89,7 @@ def compile_table(
     flat = [g for own_groups in groups for g in own_groups]
     seen, turns = _turns(inputs, travel or {}, turning)
     turns -= {*limited}
-    flat = [g.closed(*seen[g.axis]) if g.axis in turns and g.period is None else g for g in flat]
+    flat = [g.closed_periodic(*seen[g.axis]) if g.axis in turns and g.period is None else g for g in flat]
     made = [g.profile(build, spans, seen, error_bound) for g in flat]
     made = _on_common_grids(flat, made)
     used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in made}
@@ -192,7 +192,7 @@ class _Group:
             return 0.0, 0.0, 0
         return float(nodes[0]), float(nodes[-1]), nodes.size - 1
 
-    def closed(self, low: float, high: float) -> _Group:
+    def closed_periodic(self, low: float, high: float) -> _Group:
         """Over an axis that turns on, measured from low to high: with a curve that repeats with every turn."""
         one = turn.close(self.curve, str(self.axis), low, high, self.nodes())
         whole = Lowered(d.ONE, self.axis, one.curve, turn.TURN, one.nodes)
@@ -218,9 +218,9 @@ class _Group:
             made = grid(self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, what=what)
         if len(set(made.values)) == 1 and not self.closing:
             return _constant(made.values[0] * made.scale)
-        return self.stated(made, channel.name)
+        return self.quantised_profile(made, channel.name)
 
-    def stated(self, made: t.Profile, channel: str) -> t.Profile:
+    def quantised_profile(self, made: t.Profile, channel: str) -> t.Profile:
         """The profile over its input; its error includes every difference from its curve."""
         error = made.interpolation_error + self.closing
         return t.Profile.model_validate(made.model_dump() | {"input": channel, "interpolation_error": error})
@@ -247,7 +247,7 @@ def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Prof
         if p.input is not None and len(p.values) - 1 < intervals <= COMMON_GRID_INTERVALS and not group.own_grid()[2]:
             error = interpolation_error(group.curve, p.start, p.end, intervals)
             finer = quantise(group.curve, p.start, p.end, intervals, error, p.scale, p.periodic)
-            p = group.stated(finer, p.input)
+            p = group.quantised_profile(finer, p.input)
         out.append(p)
     return out
 

@@ -90,7 +90,7 @@ class Expansion:
         """Straight between positions, held beyond them; the positions are knots."""
         return Term(1.0, {axis: np.interp(self.knots[axis], positions, values)})
 
-    def missed(self, size: float) -> Terms:
+    def remainder(self, size: float) -> Terms:
         """Anything between -size and size."""
         self._missed += 1
         return [Term(size, {}, (f"{MISSED}{self._missed}",))] if size > 0 else []
@@ -110,7 +110,7 @@ class Expansion:
                 for weight, unknowns in self._merged(x.unknowns, y.unknowns):
                     factor = weight * x.factor * y.factor
                     out.append(Term(factor, curves, unknowns))
-                    for m in self.missed(error):
+                    for m in self.remainder(error):
                         out.append(Term(m.factor * factor, single, tuple(sorted(m.unknowns + unknowns))))
         return out
 
@@ -185,7 +185,7 @@ class Expansion:
                 return self._bent(of[0], lambda u: float(np.interp(u, at, node.values)), lambda *_: at)
             case t.SwitchNode():
                 low, high = span(of[0])
-                both = [Term(0.5), *self.missed(0.5)]
+                both = [Term(0.5), *self.remainder(0.5)]
                 return [Term(1.0)] if low >= node.on else [] if high <= node.off else both
             case t.DirectionNode():
                 return self._side(of[0])
@@ -193,9 +193,9 @@ class Expansion:
                 if len(of[1]) == 1 and of[1][0].unknowns[:1] and of[1][0].unknowns[0].startswith(SIDE):
                     # z = side - (side - z0) exp(-way / length) with z0 between -1 and 1, after the way of the run-up
                     left = math.exp(-self.run_up / node.length)
-                    return self.product(of[1], [Term(1.0 - left), *self.missed(left)])
+                    return self.product(of[1], [Term(1.0 - left), *self.remainder(left)])
                 low, high = span(of[1])
-                return [Term((low + high) / 2), *self.missed((high - low) / 2)]
+                return [Term((low + high) / 2), *self.remainder((high - low) / 2)]
         raise TypeError(f"unknown node {node!r}")
 
     def _merged(self, a: tuple[str, ...], b: tuple[str, ...]) -> list[tuple[float, tuple[str, ...]]]:
@@ -203,13 +203,13 @@ class Expansion:
         out = [(1.0, tuple(sorted(set(a) ^ set(b))))]
         for unknown in sorted(set(a) & set(b)):
             if not unknown.startswith(SIDE):
-                (new,) = self.missed(0.5)
+                (new,) = self.remainder(0.5)
                 out = [pair for w, u in out for pair in ((w / 2, u), (w / 2, tuple(sorted(u + new.unknowns))))]
         return out
 
     def _side(self, position: Terms) -> Terms:
         axes = {axis for x in position for axis in x.curves}
-        return [Term(1.0, {}, (SIDE + next(iter(axes)),))] if len(axes) == 1 else self.missed(1.0)
+        return [Term(1.0, {}, (SIDE + next(iter(axes)),))] if len(axes) == 1 else self.remainder(1.0)
 
     def _profile(self, table: t.CompensationTable, profile: t.Profile) -> Terms:
         values = profile.scale * np.array(profile.values, dtype=float)
@@ -225,7 +225,7 @@ class Expansion:
             return [Term(float(np.interp(reading[0].factor, at, values, period=period)))]
         if period is not None:
             middle, half = (values.max() + values.min()) / 2, (values.max() - values.min()) / 2
-            return [Term(float(middle)), *self.missed(float(half))]
+            return [Term(float(middle)), *self.remainder(float(half))]
         return self._bent(reading, lambda u: float(np.interp(u, at, values)), lambda *_: at)
 
     def _bent(self, of: Terms, value: Callable[[float], float], bends: Callable[[float, float, float], np.ndarray]):
@@ -240,7 +240,7 @@ class Expansion:
             v = np.array([value(each) for each in u.tolist()])
             cells = list(zip(u.tolist(), u[1:].tolist(), v.tolist(), v[1:].tolist(), strict=False))
             worst = max((max(map(abs, _off(value, bends, *cell))) for cell in cells), default=0.0)
-            return [Term(1.0, {axis: v}), *self.missed(worst)]
+            return [Term(1.0, {axis: v}), *self.remainder(worst)]
         low, high = span(of)
         if high <= low:
             return [Term(value(low))]
@@ -248,7 +248,7 @@ class Expansion:
         slope = (last - first) / (high - low)
         lowest, highest = _off(value, bends, low, high, first, last)
         offset = first - slope * low + (lowest + highest) / 2
-        return [Term(offset), *scaled(of, slope), *self.missed((highest - lowest) / 2)]
+        return [Term(offset), *scaled(of, slope), *self.remainder((highest - lowest) / 2)]
 
 
 def collected(terms: Terms) -> Terms:

@@ -22,7 +22,7 @@ TURNING_S = 0.01  # s in which a reversal has to be through: at 1 m/min the axis
 RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate either
 
 
-def without(table: t.CompensationTable) -> str:
+def without_limits(table: t.CompensationTable) -> str:
     """The first output without magnitude or slew, or with one above its maximum; empty if there is none."""
     for o in table.outputs:
         if o.magnitude is None or o.slew is None or o.magnitude > MAX_MAGNITUDE or o.slew > MAX_RATE:

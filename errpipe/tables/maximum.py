@@ -24,7 +24,7 @@ ROUNDING = 1e-9  # of the sum of all sizes: what floating point adds
 
 
 @dataclass(frozen=True)
-class Largest:
+class Maximum:
     """bound: no state is beyond it; reached: the size at the worst state that was tried."""
 
     bound: float
@@ -134,22 +134,22 @@ class _Search:
         return np.maximum(np.abs(up), np.abs(down)).max(axis=0) + loose
 
 
-def largest(terms: Terms, knots: Mapping[str, np.ndarray]) -> Largest:
+def largest(terms: Terms, knots: Mapping[str, np.ndarray]) -> Maximum:
     """Largest size of an expansion over the knots of its axes and all unknowns."""
     every = sum(abs(x.factor) * math.prod(float(np.abs(v).max()) for v in x.curves.values()) for x in terms)
     if every == 0.0:
-        return Largest(0.0, 0.0)
+        return Maximum(0.0, 0.0)
     search = _Search([x for x in terms if x.factor], knots)
     if math.prod(search.knots) * len(search.signed) <= MAX_CELLS:
         grid = np.meshgrid(*(np.arange(n) for n in search.knots), indexing="ij")
         index = np.stack([g.ravel() for g in grid], axis=1) if grid else np.zeros((1, 0), dtype=int)
         reached = float(search.size(index).max())
-        return Largest(reached + ROUNDING * every, reached)
+        return Maximum(reached + ROUNDING * every, reached)
     maximum = _branch(search)
-    return Largest(maximum.bound + ROUNDING * every, maximum.reached)
+    return Maximum(maximum.bound + ROUNDING * every, maximum.reached)
 
 
-def _branch(search: _Search) -> Largest:
+def _branch(search: _Search) -> Maximum:
     """Boxes are halved along every axis while some may hold more than what was reached."""
     axes, reached, kept = len(search.axes), 0.0, 0.0
     box = np.zeros((1, axes), dtype=np.int64)
@@ -165,11 +165,11 @@ def _branch(search: _Search) -> Largest:
         order = np.argsort(-bound, kind="stable")
         order = order[bound[order] > CLOSE * reached]
         if order.size == 0:
-            return Largest(max(kept, CLOSE * reached), reached)
+            return Maximum(max(kept, CLOSE * reached), reached)
         tracked = max(1, MAX_BOXES // 2**axes)
         kept = max(kept, float(bound[order[tracked:]].max(initial=0.0)))
         last = float(bound[order[0]])
         if kept >= last:
             break
         box = (2 * box[order[:tracked], None, :] + halves).reshape(-1, axes)
-    return Largest(max(kept, last, CLOSE * reached), reached)
+    return Maximum(max(kept, last, CLOSE * reached), reached)

@@ -42,7 +42,7 @@ class Cycle:
     sources: dict[str, str]
     rejected: dict[str, int]
 
-    def says(self) -> tuple[str, ...]:
+    def status_names(self) -> tuple[str, ...]:
         """Names of the status bits that are set."""
         return tuple(name for name, bit in t.STATUS_BIT.items() if self.status & bit)
 

@@ -76,7 +76,7 @@ def _compared(table: CompensationTable, read: ReadBack) -> Iterator[tuple[str, M
     That is so for a linear axis that positions alone move: setting it takes a constant. Thermal growth is none.
     """
     states, side = _states(table, np.random.default_rng(1))
-    names, start = _sample.positions_of(table).values(), _sample.middle(table)
+    names, start = _sample.positions_of(table).values(), _sample.reference_readings(table)
     usual = {name: states[name] if name in names else np.full(STATES, v) for name, v in start.items()}
     for axis in _sample.outputs_by_axis(table):
         (gap, want), (lost, level) = (_gap(table, read, axis, at, side) for at in (usual | states, usual))
@@ -98,7 +98,7 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
 
     A file without temperatures has the curve of one thermal state, and in another it may act the wrong way.
     """
-    names, start = _sample.positions_of(table), _sample.middle(table)
+    names, start = _sample.positions_of(table), _sample.reference_readings(table)
     places = {names[a]: np.tile(np.linspace(*ends, STATES // 2), 2) for a, ends in travel(table).items()}
     usual = {n: np.full(STATES, v) for n, v in start.items()} | places
     side, worst = np.repeat([1.0, -1.0], STATES // 2), dict[str, tuple[float, str]]()
@@ -140,11 +140,11 @@ def travel(table: CompensationTable) -> dict[str, tuple[float, float]]:
     return out
 
 
-def bounds(table: CompensationTable, read: ReadBack, less: Mapping[str, float]) -> dict[str, maximum.Largest]:
+def bounds(table: CompensationTable, read: ReadBack, less: Mapping[str, float]) -> dict[str, maximum.Maximum]:
     """Axis -> bound of the difference between files and table, less a constant, um."""
     axes = _sample.outputs_by_axis(table)
     if isinstance(read, WholeTable) and read.table == table:
-        return dict.fromkeys(axes, maximum.Largest(0.0, 0.0))
+        return dict.fromkeys(axes, maximum.Maximum(0.0, 0.0))
     more: dict[str, list[np.ndarray]] = {}
     for axis, grid in read.grids():
         more.setdefault(axis, []).append(grid)
@@ -164,7 +164,7 @@ def bounds(table: CompensationTable, read: ReadBack, less: Mapping[str, float]) 
 
 def _moved(expansion: Expansion, table: CompensationTable) -> dict[str, Terms]:
     """Axis -> correction of a table, mm (deg)."""
-    deviation = expansion.outputs(without_guard(table), _sample.middle(table))
+    deviation = expansion.outputs(without_guard(table), _sample.reference_readings(table))
     return {
         axis: [
             x for o in outputs for x in scaled(deviation[o.name], -o.factor * _sample.MACHINE_UNITS[o.correction_unit])

@@ -92,7 +92,7 @@ def turns(table: CompensationTable, axis: str) -> bool:
     return is_rotary(axis) and is_turn(np.array(span(table, axis)))
 
 
-def middle(table: CompensationTable) -> dict[str, float]:
+def reference_readings(table: CompensationTable) -> dict[str, float]:
     """Readings of the reference state: axes at mid travel, everything else at its default."""
     readings = {i.name: i.default for i in table.inputs if not i.optional}
     for axis, name in positions_of(table).items():
@@ -104,11 +104,11 @@ def middle(table: CompensationTable) -> dict[str, float]:
 def corrections(table: CompensationTable, axis: str, states: Mapping[str, np.ndarray], side: np.ndarray) -> np.ndarray:
     """Correction of one axis, mm (deg), in settled states, each approached from its side; shape (n,).
 
-    states: input name -> (n,); inputs not named stand as in `middle`. References (values latched at the start)
+    states: input name -> (n,); inputs not named stand as in `reference_readings`. References (latched at the start)
     are taken in the middle state.
     """
     outputs = outputs_by_axis(table)[axis]
-    start, n = middle(table), side.size
+    start, n = reference_readings(table), side.size
     moving = set(positions_of(table).values())
     columns = {name: np.repeat(value, 4 * n) for name, value in start.items()}
     for name, values in states.items():
@@ -130,7 +130,7 @@ def curve(table: CompensationTable, axis: str, over: str, points: np.ndarray, *,
     up = corrections(table, axis, {name: points}, np.ones(points.size))
     down = corrections(table, axis, {name: points}, -np.ones(points.size))
     if relative:
-        there = np.full(1, middle(table)[name])
+        there = np.full(1, reference_readings(table)[name])
         zero = sum(corrections(table, axis, {name: there}, np.array([s])) for s in (1.0, -1.0)) / 2
         up, down = up - zero, down - zero
     return Curve(axis, over, points, up, down)
@@ -333,7 +333,7 @@ def line(table: CompensationTable, axis: str, sensor: str) -> Line:
     low, high = reach(table, axis)
     x = np.linspace(low, high, 41)
     zero = float(x.mean())
-    base = middle(table)[sensor]
+    base = reference_readings(table)[sensor]
     states = {positions_of(table)[axis]: x} if axis in positions_of(table) else {}
     hot, cold = (
         corrections(table, axis, {**states, sensor: np.full(x.size, base + step)}, np.ones(x.size))
@@ -349,7 +349,7 @@ def line(table: CompensationTable, axis: str, sensor: str) -> Line:
 
 def counts_from_start(table: CompensationTable, axis: str, sensor: str) -> bool:
     """Whether the correction of an axis counts a sensor, in part at least, from its reading at the start of a run."""
-    warm = middle(table)[sensor] + PER_KELVIN
+    warm = reference_readings(table)[sensor] + PER_KELVIN
     inputs = tuple(i.model_copy(update={"default": warm}) if i.name == sensor else i for i in table.inputs)
     low, high = reach(table, axis)
     states = {sensor: np.full(2, warm)}
@@ -380,7 +380,7 @@ def evenly_spaced(table: CompensationTable, axis: str, count: int) -> Points:
     return Points(low, (high - low) / (count - 1), count)
 
 
-def bed(table: CompensationTable, count: int) -> Plane | None:
+def height_map(table: CompensationTable, count: int) -> Plane | None:
     """Z over so many points along X and along Y; None for a table that does not correct Z, or reads no X or Y."""
     if "Z" not in outputs_by_axis(table) or not {"X", "Y"} <= set(positions_of(table)):
         return None

@@ -100,7 +100,7 @@ def _block(table: CompensationTable, axis: str, name: str, own: Sequence[Compone
 def component_values(table: CompensationTable, name: str, x: np.ndarray) -> dict[str, np.ndarray]:
     """Components along one position input, others in the middle, in um or urad: mean of both directions."""
     bare = by_component(table)
-    start = {i.name: i.default for i in bare.inputs if not i.optional} | _sample.middle(table)
+    start = {i.name: i.default for i in bare.inputs if not i.optional} | _sample.reference_readings(table)
     total: dict[str, np.ndarray] = {}
     for side in (1.0, -1.0):
         order = x if side > 0 else x[::-1]

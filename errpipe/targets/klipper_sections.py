@@ -50,7 +50,7 @@ class KlipperSections(Target):
         axes = _sample.positions_of(table)
         corrected = _sample.outputs_by_axis(table)
         text = ""
-        if (bed := _sample.bed(table, MESH)) is not None:
+        if (bed := _sample.height_map(table, MESH)) is not None:
             text += _mesh(bed)
         text += _skew(table, axes, corrected)
         if "Z" in corrected:

@@ -53,7 +53,7 @@ class MarlinGcode(Target):
             *head,
             *(["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(backlash.items()))] if backlash else []),
         ]
-        if (bed := _sample.bed(table, POINTS)) is not None:
+        if (bed := _sample.height_map(table, POINTS)) is not None:
             lines += _mesh(bed)
         if lines == head:
             others = _sample.of_other_axes(table, LETTERS)

@@ -50,7 +50,7 @@ class ReprapHeightmap(Target):
         files = {}
         if lost := _sample.backlash_if_any(table, cls.name, LETTERS):
             files[MACRO] = f"; {CAUTION}\nG21\nM425 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(lost.items())) + "\n"
-        if (bed := _sample.bed(table, POINTS)) is not None:
+        if (bed := _sample.height_map(table, POINTS)) is not None:
             files[MAP] = _map(bed)
         if not files:
             others = _sample.of_other_axes(table, LETTERS)

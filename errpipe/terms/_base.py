@@ -19,10 +19,10 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 
 from errpipe.domain.error_model import FittedParameter, FittedTerm
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import FrozenModel, Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position_name
-from errpipe.drivers.simulated import Late, Ringing
+from errpipe.drivers.simulated import DelayDifference, Ringing
 from errpipe.terms._place import as_positioning
 from errpipe.yamlfile import quantity
 
@@ -77,7 +77,7 @@ class Example:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
-class Term(Frozen, ABC):
+class Term(FrozenModel, ABC):
     """Base of all terms. A subclass sets `term: Literal[id]`, binds columns by fields, and states its basis."""
 
     term: str
@@ -192,7 +192,7 @@ class Term(Frozen, ABC):
         """The compiled form, or None where a controller cannot or must not compensate this effect."""
         return None
 
-    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered | Ringing | Late, ...] | None:
+    def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered | Ringing | DelayDifference, ...] | None:
         """The value as a sum of what a simulation computes: also of what no controller may compensate.
 
         None where it cannot be written so.
@@ -247,7 +247,7 @@ class Term(Frozen, ABC):
         """Whether the parameters tell a reader something that the table of curves does not."""
         return True
 
-    def says(self, parameters: Mapping[str, float]) -> str:
+    def sentence(self, parameters: Mapping[str, float]) -> str:
         """One plain sentence for a person, with numbers and units."""
         parts = [f"{p.name} = {parameters[p.name]:.4g} {p.unit}" for p in (*self.linear(), *self.free())]
         return f"{self.term.replace('_', ' ')}: " + ", ".join(parts)

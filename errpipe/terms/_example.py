@@ -66,7 +66,7 @@ def rows(step: float = 15.0) -> Recording:
 
 def example_of(kind: type[Term]) -> Example:
     """The worked case that generic tests and the reference derive the rest from."""
-    sampled = None if kind.sample is None else worked(kind(**kind.sample))
+    sampled = None if kind.sample is None else typical_example(kind(**kind.sample))
     return kind.example() or sampled or first_binding(kind)
 
 
@@ -75,11 +75,11 @@ def first_binding(kind: type[Term], recording: Recording | None = None) -> Examp
     recording = recording or rows()
     for component in COMPONENTS:
         for term in kind.bind(recording, component):
-            return worked(term, recording)
+            return typical_example(term, recording)
     raise LookupError(f"{kind.__name__} binds to nothing in the example's rows")
 
 
-def worked(term: Term, recording: Recording | None = None) -> Example:
+def typical_example(term: Term, recording: Recording | None = None) -> Example:
     """A term on these rows with sizes that machines have: the middle of each parameter's typical range."""
     recording = recording or rows()
     term = term.settled(recording)

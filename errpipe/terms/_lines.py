@@ -170,7 +170,7 @@ def power(at: np.ndarray, signal: np.ndarray, frequency: float) -> float:
     return float(block.T @ signal @ np.linalg.lstsq(block, signal, rcond=None)[0])
 
 
-def combs(
+def harmonic_series(
     lines: list[tuple[float, float]], span: float, known: Iterable[float] = ()
 ) -> Iterator[tuple[float, tuple[float, ...], bool]]:
     """Bases (1/length) of which lines are orders, these orders, the strongest first, and whether the base is known.

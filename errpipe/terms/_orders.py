@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import is_rotary, position
 from errpipe.terms._base import Parameter
-from errpipe.terms._lines import FEW_PLACES, at_targets, combs, lines, waves
+from errpipe.terms._lines import FEW_PLACES, at_targets, harmonic_series, lines, waves
 from errpipe.terms._search import Signals
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 from errpipe.yamlfile import quantity
@@ -64,12 +64,12 @@ def lowered(axis: str, period: float, orders: tuple[float, ...], parameters: Map
     return Lowered(ONE, axis, lambda x: total(x, period, orders, parameters), period)
 
 
-def turn(recording: Recording, axis: str, share: float = BENT) -> tuple[float, ...]:
+def full_turn(recording: Recording, axis: str, share: float = BENT) -> tuple[float, ...]:
     """One turn of a rotary axis that made more than this share of one, after which all repeats."""
     return (TURN,) if is_rotary(recording, axis) and np.ptp(position(recording, axis)) > share * TURN else ()
 
 
-def seen(
+def visible_orders(
     recording: Recording, axis: str, signals: Signals, known: tuple[float, ...] = ()
 ) -> Iterator[tuple[float, tuple[float, ...], bool]]:
     """Waves along an axis of which the mismatch shows more than one order: period of the first, orders, is it known?
@@ -79,6 +79,6 @@ def seen(
     x = at_targets(position(recording, axis)[signals.rows])
     if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= FEW_PLACES:
         return
-    span, turned = float(np.ptp(x)), (*known, *turn(recording, axis, NEARLY))
-    for base, orders, stated in combs(lines(x, signals.values[0]), span, [1.0 / p for p in turned]):
+    span, turned = float(np.ptp(x)), (*known, *full_turn(recording, axis, NEARLY))
+    for base, orders, stated in harmonic_series(lines(x, signals.values[0]), span, [1.0 / p for p in turned]):
         yield 1.0 / base / orders[0], orders, stated

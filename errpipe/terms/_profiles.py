@@ -13,14 +13,14 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.terms._base import Parameter
 from errpipe.yamlfile import quantity
 
 MM_PER_M = 1000.0
 
 
-class Shape(Frozen, ABC):
+class Shape(FrozenModel, ABC):
     """A profile over position x (rows,), in mm or deg: its parameters, and one column for each."""
 
     @abstractmethod

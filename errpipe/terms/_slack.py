@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import direction, position, unbroken
+from errpipe.drivers.motion import direction, motion_sessions, position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._search import resolved_lengths, resolved_times
@@ -108,7 +108,7 @@ def of_reversal(column: np.ndarray, recording: Recording, axis: str, radial: boo
 def first_travel(recording: Recording, axis: str) -> float:
     """Usual travel of an axis to the first row after a turn, in mm (deg); from row to row where it never turns."""
     side, way = direction(recording, axis), np.abs(np.diff(position(recording, axis)))
-    turned = (np.diff(side) != 0) & (np.diff(unbroken(recording)) == 0) & (way > 0)
+    turned = (np.diff(side) != 0) & (np.diff(motion_sessions(recording)) == 0) & (way > 0)
     return float(np.median(way[turned])) if turned.any() else resolved_lengths(recording, axis)[0]
 
 
@@ -120,5 +120,5 @@ def gradual_reversal(step: np.ndarray, recording: Recording, axis: str, move: fl
     side, x = direction(recording, axis), position(recording, axis)
     move = resolved_lengths(recording, axis)[0] if move is None else move
     for length in (0.25 * move, move, 4.0 * move):  # closed at once, as seen, or over a few rows
-        lagging = responses.approach(unbroken(recording), x, side, length) - side
+        lagging = responses.approach(motion_sessions(recording), x, side, length) - side
         yield step * side * lagging, 0.6

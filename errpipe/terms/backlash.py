@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, moving, share
+from errpipe.drivers.motion import direction, direction_column, moving, response_share
 from errpipe.drivers.sessions import hold
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
@@ -66,7 +66,7 @@ class Backlash(Term):
         return recording.name("direction", axis=self.axis) is not None
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return (-0.5 * self._side(recording, *nonlinear) * share(recording, self.axis, self.radial))[:, None]
+        return (-0.5 * self._side(recording, *nonlinear) * response_share(recording, self.axis, self.radial))[:, None]
 
     def _side(self, recording: Recording, *braking: float) -> np.ndarray:
         side = direction(recording, self.axis)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.simulated import Late
+from errpipe.drivers.simulated import DelayDifference
 from errpipe.terms._base import NEVER, Parameter, Term
 from errpipe.terms._late import shift_of
 from errpipe.terms._search import Delays, Signals, resolved_times
@@ -74,9 +74,9 @@ class ClockOffset(Term):
             late = np.r_[late, np.exp(np.arange(np.log(STEPS * step), np.log(term.longest), np.log(FURTHER)))]
             late = late[late <= term.longest]
             if signals.values:
-                offset = shift_of(Late(0.0, term.column), recording, signals, np.r_[-late[::-1], late], step)
+                offset = shift_of(DelayDifference(0.0, term.column), recording, signals, np.r_[-late[::-1], late], step)
                 coarse = np.geomspace(late[0], late[-1], COARSE)
                 yield from ((term, (float(v),)) for v in (offset, *coarse, *-coarse) if abs(v) >= MIN_INTERVALS * step)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return Late(nonlinear[0], self.column).value(recording)[:, None]
+        return DelayDifference(nonlinear[0], self.column).value(recording)[:, None]

@@ -10,9 +10,9 @@ from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import path_name
-from errpipe.drivers.simulated import Late
+from errpipe.drivers.simulated import DelayDifference
 from errpipe.terms._base import NEVER, Example, Parameter, Term
-from errpipe.terms._example import rows, worked
+from errpipe.terms._example import rows, typical_example
 from errpipe.terms._late import shift_of
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Delays, Estimates, Signals, resolved_times
@@ -69,13 +69,13 @@ class DeadTime(Term):
             if abs(delay) > MIN_STEPS * step and (term.axis or delay > 0):
                 yield term, (delay,)
 
-    def _late(self, delay: float, gain: float = 1.0) -> Late:
-        return Late(delay, self.column, self.axis, gain)
+    def _late(self, delay: float, gain: float = 1.0) -> DelayDifference:
+        return DelayDifference(delay, self.column, self.axis, gain)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return self._late(*nonlinear).value(recording)[:, None]
 
-    def equation(self, parameters: Mapping[str, float]) -> tuple[Late, ...] | None:
+    def equation(self, parameters: Mapping[str, float]) -> tuple[DelayDifference, ...] | None:
         (delay,) = self.nonlinear_values(parameters)
         return (self._late(delay, parameters["share"]),) if delay > 0 else None  # no simulation anticipates
 
@@ -85,4 +85,4 @@ class DeadTime(Term):
 
     @classmethod
     def example(cls) -> Example:
-        return worked(cls(axis="X"), rows(0.01))
+        return typical_example(cls(axis="X"), rows(0.01))

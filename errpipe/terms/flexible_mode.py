@@ -16,7 +16,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.simulated import Ringing
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._drivers import scaled
-from errpipe.terms._example import rows, worked
+from errpipe.terms._example import rows, typical_example
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Estimates, Listed, Resonances, Signals, resolved_times
@@ -159,4 +159,4 @@ class FlexibleMode(Term):
 
     @classmethod
     def example(cls) -> Example:
-        return worked(cls(axis="X", column="ax"), rows(0.01))
+        return typical_example(cls(axis="X", column="ax"), rows(0.01))

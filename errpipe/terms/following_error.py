@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import Driver, Input, Lag
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import share
+from errpipe.drivers.motion import response_share
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
@@ -84,7 +84,7 @@ class FollowingError(Term):
         if self.settles:
             (tau,) = nonlinear
             v = responses.lag_straight(sessions(recording), recording.time(), v, tau, tau, True)
-        return (-v * share(recording, self.axis, self.radial))[:, None]
+        return (-v * response_share(recording, self.axis, self.radial))[:, None]
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (*tau,) = self.nonlinear_values(parameters)

@@ -11,7 +11,7 @@ from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
+from errpipe.drivers.motion import direction, direction_column, position, position_name, response_share, travel
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
@@ -66,7 +66,7 @@ class FrictionHysteresis(Term):
             z = responses.approach(run, position(recording, self.axis), side, nonlinear[0], self.overrun)
         else:
             z = drive(Approach(axis=self.axis, length=nonlinear[0]), recording)
-        return (-0.5 * z * share(recording, self.axis, self.radial))[:, None]
+        return (-0.5 * z * response_share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         for factor in (0.3, 3.0):  # contacts slip one after the other: a spread of lengths
@@ -74,7 +74,7 @@ class FrictionHysteresis(Term):
         if not self.overrun:  # all travel is recorded, but not the moves before the recording
             travelled = np.r_[0.0, np.cumsum(np.abs(np.diff(position(recording, self.axis))))]
             for decay, freedom in start_states(recording, nonlinear[0], START, START, travelled):
-                yield 0.5 * decay * share(recording, self.axis, self.radial), freedom
+                yield 0.5 * decay * response_share(recording, self.axis, self.radial), freedom
         if not self.radial:
             yield from bent(base[:, 0], position(recording, self.axis))
 

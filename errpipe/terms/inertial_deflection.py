@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import share
+from errpipe.drivers.motion import response_share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._drivers import scaled
 from errpipe.terms._fields import Axis, Radial
@@ -44,7 +44,7 @@ class InertialDeflection(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         lean = -1e-3 * recording.array(self.column)
-        return (lean * share(recording, self.axis, self.radial))[:, None]
+        return (lean * response_share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         for tau in (0.004, 0.02):  # the structure's vibration decays in about this time

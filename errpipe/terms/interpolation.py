@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, share
+from errpipe.drivers.motion import position, response_share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
@@ -58,7 +58,7 @@ class Interpolation(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         waves = self._waves(position(recording, self.axis), nonlinear[0])
-        return waves * share(recording, self.axis, self.radial)[:, None]
+        return waves * response_share(recording, self.axis, self.radial)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:

@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import axes, position, position_name, share, travel
+from errpipe.drivers.motion import axes, position, position_name, response_share, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, direction_of, is_radial, own_axis
@@ -63,7 +63,7 @@ class LocalWear(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         bell = self._bell(position(recording, self.axis), *nonlinear)
-        return (bell * share(recording, self.axis, self.radial))[:, None]
+        return (bell * response_share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         centre, width = nonlinear

@@ -81,7 +81,7 @@ class MeasuredPoints(Term):
         means = part(ONE, targets, "p")
         return (means, part(Direction(axis=self.axis), self.both, "r")) if self.both else (means,)
 
-    def says(self, parameters: Mapping[str, float]) -> str:
+    def sentence(self, parameters: Mapping[str, float]) -> str:
         targets = self.targets or ()
         p = [parameters[f"p{k}"] for k in range(len(targets))]
         span = f"{self.axis} from {targets[0]:g} to {targets[-1]:g}"

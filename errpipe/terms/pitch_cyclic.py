@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, share
+from errpipe.drivers.motion import position, response_share
 from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
@@ -48,7 +48,7 @@ class PitchCyclic(Term):
             known, radial = recording.manifest.axis(axis), is_radial(component)
             stated = drive_periods(known)
             half = (known.screw_lead / 2,) if known is not None and known.screw_lead else ()
-            turn = [p / k for p in waves.turn(recording, axis) for k in (1, 2)]  # a disc off centre, or oval
+            turn = [p / k for p in waves.full_turn(recording, axis) for k in (1, 2)]  # a disc off centre, or oval
             for period in dict.fromkeys((*stated, *half, *turn)):
                 yield cls(axis=axis, radial=radial, fixed={"period": period})
             yield cls(axis=axis, radial=radial)
@@ -58,16 +58,16 @@ class PitchCyclic(Term):
         """Several orders of one wave, as the mismatch shows them."""
         for axis in () if is_radial(component) else axes_acting(recording, as_positioning(component)):
             stated = drive_periods(recording.manifest.axis(axis))
-            for period in waves.turn(recording, axis):  # a disc off centre and oval
+            for period in waves.full_turn(recording, axis):  # a disc off centre and oval
                 yield cls(axis=axis, orders=(1.0, 2.0), fixed={"period": period}), (period,)
-            for period, orders, known in waves.seen(recording, axis, signals, stated):
+            for period, orders, known in waves.visible_orders(recording, axis, signals, stated):
                 if not of_encoder(recording, axis, period):
                     yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         (period,) = nonlinear
         own = waves.columns(position(recording, self.axis), period, self.orders)
-        return own * share(recording, self.axis, self.radial)[:, None]
+        return own * response_share(recording, self.axis, self.radial)[:, None]
 
     def log_prior_odds(self) -> float:
         return waves.log_prior_odds(self.orders, bool(self.fixed))

@@ -9,17 +9,17 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from errpipe.domain import driver as d
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import FrozenModel, Recording
 from errpipe.drivers.evaluation import carried, drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._example import worked
+from errpipe.terms._example import typical_example
 from errpipe.yamlfile import quantity
 
 
-class Factor(Frozen):
+class Factor(FrozenModel):
     """One factor of a driver: an input, from where it counts, how late it acts and to what power."""
 
     input: str = Field(description="Column of the recording, channel of the controller.")
@@ -120,7 +120,7 @@ class ProfileDriver(Term):
 
     @classmethod
     def example(cls) -> Example:
-        return worked(
+        return typical_example(
             cls(
                 axis="X",
                 profile=shapes.Line(origin=100.0),

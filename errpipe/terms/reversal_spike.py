@@ -12,7 +12,7 @@ from pydantic import Field
 from errpipe.domain.driver import Affine, Direction, Driver, Input, Lag, Power, Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, position, share
+from errpipe.drivers.motion import direction, direction_column, position, response_share
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import since_turn
 from errpipe.terms._base import Example, Parameter, Term
@@ -111,7 +111,7 @@ class ReversalSpike(Term):
         size = direction(recording, self.axis) * np.exp(-self.since_turn(recording) / nonlinear[0])
         if self.feed:
             size = size * (recording.array(self.feed) / 1000.0) ** nonlinear[1]
-        return (-size * share(recording, self.axis, self.radial))[:, None]
+        return (-size * response_share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         tau, since = nonlinear[0], self.since_turn(recording)

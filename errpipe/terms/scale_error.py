@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, share
+from errpipe.drivers.motion import position, response_share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
@@ -41,7 +41,7 @@ class ScaleError(Term):
             yield cls(axis=axis, radial=is_radial(component))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return (position(recording, self.axis) * (1e-3 * share(recording, self.axis, self.radial)))[:, None]
+        return (position(recording, self.axis) * (1e-3 * response_share(recording, self.axis, self.radial)))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:  # a lead error is not quite straight

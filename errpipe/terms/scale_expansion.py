@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name, share
+from errpipe.drivers.motion import position, position_name, response_share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._drivers import REFERENCE, rise_driver, sensors
 from errpipe.terms._fields import Axis, Radial, Reference, Sensor
@@ -49,7 +49,7 @@ class ScaleExpansion(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         rise = drive(rise_driver(self.sensor, self.reference), recording)
-        column = position(recording, self.axis) * (1e-3 * share(recording, self.axis, self.radial))
+        column = position(recording, self.axis) * (1e-3 * response_share(recording, self.axis, self.radial))
         column *= rise  # in place: new memory for each product costs as much as the product
         return column[:, None]
 

@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
+from errpipe.drivers.motion import direction, direction_column, position, position_name, response_share, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import is_radial, linear_axes_acting
@@ -55,7 +55,7 @@ class ScrewWindup(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         step = -0.5 * direction(recording, self.axis) * self._reach(position(recording, self.axis))
-        return (step * share(recording, self.axis, self.radial))[:, None]
+        return (step * response_share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         return of_reversal(base[:, 0], recording, self.axis, self.radial)

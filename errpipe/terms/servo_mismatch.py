@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import axes, position_name, share
+from errpipe.drivers.motion import axes, position_name, response_share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._place import is_radial
 
@@ -43,7 +43,7 @@ class ServoMismatch(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         along = [
-            recording.array(recording.names("velocity", axis=a)[0]) * share(recording, a, True)
+            recording.array(recording.names("velocity", axis=a)[0]) * response_share(recording, a, True)
             for a in (self.first, self.second)
         ]
         return (-0.5 * (along[0] - along[1]))[:, None]

@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import axes, position, position_name, share
+from errpipe.drivers.motion import axes, position, position_name, response_share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._lines import at_targets
@@ -21,7 +21,7 @@ from errpipe.terms._slack import Slack, chebyshev
 from errpipe.yamlfile import quantity
 
 
-def bows(x: np.ndarray, low: float, high: float, order: int, line: float = 0.0) -> np.ndarray:
+def bow_columns(x: np.ndarray, low: float, high: float, order: int, line: float = 0.0) -> np.ndarray:
     """Chebyshev polynomials of degree 2..order over low..high, held beyond, 3 with `line` of 1, (rows, order - 1)."""
     unit = (2 * np.clip(np.asarray(x, dtype=float), low, high) - low - high) / (high - low)
     curve = np.polynomial.chebyshev.chebvander(unit, order)
@@ -96,12 +96,12 @@ class Straightness(Term):
         yield from (term.model_copy(update={"any_line": True}) for term in cls.bind(recording, component))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        curve = bows(position(recording, self.axis), self.low, self.high, self.order, *nonlinear)
-        return curve * share(recording, self.across, True)[:, None] if self.across else curve
+        curve = bow_columns(position(recording, self.axis), self.low, self.high, self.order, *nonlinear)
+        return curve * response_share(recording, self.across, True)[:, None] if self.across else curve
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         polynomials = chebyshev(position(recording, self.axis), 8)
-        across = share(recording, self.across, True) if self.across else 1.0
+        across = response_share(recording, self.across, True) if self.across else 1.0
         for k in (0, 1) if not self.across else (0,):  # whichever line, of a circle whichever centre, it counts from
             yield polynomials[:, k] * across, 0.4
         for k in range(self.order + 1, 9):
@@ -112,4 +112,4 @@ class Straightness(Term):
             return None
         gains = self.gain_values(parameters)
         low, high, order = self.low, self.high, self.order
-        return (Lowered(ONE, self.axis, lambda x: bows(x, low, high, order) @ gains),)
+        return (Lowered(ONE, self.axis, lambda x: bow_columns(x, low, high, order) @ gains),)

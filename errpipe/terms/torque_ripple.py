@@ -50,7 +50,7 @@ class TorqueRipple(Term):
     def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """Several orders of one wave, as the mismatch shows them."""
         for axis in driven_axes(recording, component):
-            for period, orders, known in waves.seen(recording, axis, signals, stated(recording, axis)):
+            for period, orders, known in waves.visible_orders(recording, axis, signals, stated(recording, axis)):
                 yield cls(axis=axis, orders=orders, fixed={"period": period} if known else {}), (period,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
@@ -71,4 +71,4 @@ class TorqueRipple(Term):
 def stated(recording: Recording, axis: str) -> tuple[float, ...]:
     """Periods of the axis' drive and motor that the manifest states, and one turn of a rotary axis."""
     known = recording.manifest.axis(axis)
-    return tuple(dict.fromkeys((*pole_periods(known), *drive_periods(known), *waves.turn(recording, axis))))
+    return tuple(dict.fromkeys((*pole_periods(known), *drive_periods(known), *waves.full_turn(recording, axis))))

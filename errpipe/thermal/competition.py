@@ -176,7 +176,7 @@ def compete(
     }
     if not left_out:
         raise DataError("thermal model: only one group of rows, so families cannot be compared")
-    judged = {name: _Judged(p, response, rows, group) for name, p in left_out.items()}
+    judged = {name: _HeldOutPredictions(p, response, rows, group) for name, p in left_out.items()}
     chooser = judged[RUN] if RUN in judged else next(iter(judged.values()))
     if ahead:
         chooser = _ahead(entrants, groups, response, rows, group)
@@ -208,7 +208,7 @@ def compete(
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _HeldOutPredictions:
     """Predictions of held-out rows by entrants: (entrants, rows) in um, NaN where not validated."""
 
     predicted: np.ndarray
@@ -243,7 +243,7 @@ class _Judged:
 
 
 def _by_label(
-    way: Grouping, judge: _Judged, named: Mapping[str, Mapping[int, float]], group: np.ndarray
+    way: Grouping, judge: _HeldOutPredictions, named: Mapping[str, Mapping[int, float]], group: np.ndarray
 ) -> dict[str, dict[str, float]]:
     """Label of each held-out group -> name -> rms, um."""
     return {
@@ -252,7 +252,7 @@ def _by_label(
     }
 
 
-def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
+def _admitted(judged: Mapping[str, _HeldOutPredictions], deciding: set[str]) -> np.ndarray:
     """Mask of the entrants that no grouping by environment excludes (see `REGRET`).
 
     Other groupings are reported and exclude no family: if a fit of half of the duty cycles fails on the others, that is
@@ -269,7 +269,7 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
     return useful & (regret <= max(REGRET, regret[useful].min(initial=np.inf)))
 
 
-def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Judged) -> np.ndarray:
+def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _HeldOutPredictions) -> np.ndarray:
     """Scores, infinite without physically possible signs unless those with them are significantly worse."""
     signed = np.where([e.physical for e in entrants], score, np.inf)
     if not np.isfinite(signed).any():
@@ -279,7 +279,7 @@ def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Jud
     return score if behind else signed
 
 
-def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[int, float]:
+def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _HeldOutPredictions]) -> dict[int, float]:
     """The plain entrant with the weight of one if its residual on blocks is nearly that of the best."""
     left = next(iter(judged.values())).mean_square()
     return {k: 1.0 for k, e in enumerate(entrants) if e.plain and left[k] <= PLAIN_REGRET**2 * left.min()}
@@ -287,7 +287,7 @@ def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[i
 
 def _ahead(
     entrants: Sequence[Entrant], groups: Groups, response: np.ndarray, rows: np.ndarray, group: np.ndarray
-) -> _Judged:
+) -> _HeldOutPredictions:
     """Predictions by every stretch from either end of a run, of at least half of its blocks, of the remaining blocks.
 
     Forward chaining (prequential analysis, Dawid 1984) in both directions of time: a later run is beyond all rows.
@@ -296,7 +296,7 @@ def _ahead(
     ways = [Grouping("", (rest,)) for rest in rests]
     predicted = [np.hstack([_left_out(e, way, groups, rows, group) for way in ways]) for e in entrants]
     count = len(ways)
-    return _Judged(
+    return _HeldOutPredictions(
         np.array(predicted).reshape(len(entrants), count * rows.size),
         np.tile(response, count),
         np.tile(rows, count),
@@ -314,7 +314,7 @@ def _left_out(entrant: Entrant, way: Grouping, groups: Groups, rows: np.ndarray,
     return out
 
 
-def _stacked(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
+def _stacked(ranked: Sequence[int], judged: _HeldOutPredictions) -> dict[int, float]:
     """Weights of the entrants that jointly predict held-out rows best; small ones are dropped (`LEAST_WEIGHT`).
 
     A sum below one (a partial gain) is accepted only if significantly better: shrinking correct gains costs
@@ -328,7 +328,7 @@ def _stacked(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
     return {k: w for k, w in chosen.items() if w > 0.0}
 
 
-def _weights(kept: Sequence[int], judged: _Judged, whole: bool = False) -> dict[int, float]:
+def _weights(kept: Sequence[int], judged: _HeldOutPredictions, whole: bool = False) -> dict[int, float]:
     """Least squares on held-out rows; no negative weight, a sum of at most one. whole: a sum of one."""
     right = judged.response[judged.seen]
     size = np.sqrt(np.sum(right**2)) or 1.0

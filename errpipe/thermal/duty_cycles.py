@@ -97,7 +97,7 @@ class DutyCycles:
         """Runs with a measured deviation."""
         return [r for r in self.runs if np.isfinite(self.deviation[self.run == r]).any()]
 
-    def learn(self, runs: Sequence[int]) -> Posterior:
+    def fit(self, runs: Sequence[int]) -> Posterior:
         """Scales by marginal likelihood, then the posterior of b. Without a run: the prior."""
         size = TYPICAL
         if runs:

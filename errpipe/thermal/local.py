@@ -19,7 +19,7 @@ MOST_KNOTS = 24  # start temperatures between which gains are interpolated
 
 
 @dataclass(frozen=True)
-class Local:
+class LocalGains:
     """knots: equidistant start warmths, degC, (k,), k >= 2; gains: (k, columns)."""
 
     knots: np.ndarray
@@ -48,7 +48,7 @@ def fit(
     core: np.ndarray,
     width: float,
     strength: float,
-) -> Local:
+) -> LocalGains:
     """Ridge on the columns behind the core's, per knot.
 
     parts: group -> triangle of [core columns, further columns, response]; rows: group -> number of rows it
@@ -70,7 +70,7 @@ def fit(
         triangle = network.stack(near, sorted(near))
         effective = sum(float(w) * rows[g] for g, w in zip(groups, weight, strict=True))
         gains.append(ridge_gains(triangle[:, :-1], triangle[:, -1], effective, strength))
-    return Local(knots, np.array(gains))
+    return LocalGains(knots, np.array(gains))
 
 
 def _left_by(core: np.ndarray, part: np.ndarray) -> np.ndarray:

@@ -76,7 +76,7 @@ class _Gains:
     """Fit to one set of groups: gains, correction, the range of its starts, and the balance of its days."""
 
     core: np.ndarray
-    correction: local.Local | None
+    correction: local.LocalGains | None
     low: np.ndarray
     high: np.ndarray
     balance: tuple[float, float]
@@ -163,8 +163,8 @@ class Problem:
         rows = sum(self.count[g] for g in weight)
         return network.signed_gains(triangle, rows, self.members, self.signs, self.options.penalty)
 
-    def _local(self, groups: Sequence[int], core: np.ndarray) -> local.Local:
-        warmth = self.warmth()
+    def _local(self, groups: Sequence[int], core: np.ndarray) -> local.LocalGains:
+        warmth = self.start_temperature()
         warmth_of = {g: float(warmth[self.rows & (self.group == g)][0]) for g in groups}
         parts = {g: self.triangles[g] for g in groups}
         return local.fit(parts, self.count, warmth_of, core, CORRECTION_WIDTH, CORRECTION_PENALTY)
@@ -177,7 +177,7 @@ class Problem:
     def left_out(self, folds: Sequence[Sequence[int]], corrected: bool = True) -> dict[str, np.ndarray]:
         """Core and gated correction of every used row by gains fitted without its fold."""
         out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction")}
-        warmth = self.warmth()
+        warmth = self.start_temperature()
         for fold in folds:
             train = [g for g in self.groups if g not in fold]
             if not train:
@@ -217,13 +217,13 @@ class Problem:
         half = len(order) // 2
         return [order[:half], order[half:]] if half else []
 
-    def warmth(self) -> np.ndarray:
+    def start_temperature(self) -> np.ndarray:
         """Mean start temperature of each row's run, degC."""
         return self.starts.mean(axis=1)
 
     def correction_slope(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Start temperature (grid, degC) -> regularised slope of the residual on the correction over held-out runs."""
-        warmth = self.warmth()  # of used rows: a log may start before the sensors do
+        warmth = self.start_temperature()  # of used rows: a log may start before the sensors do
         starts = np.array([warmth[self.rows & (self.group == g)][0] for g in self.groups])
         grid = np.linspace(starts.min(), max(starts.max(), starts.min() + 1e-3), SLOPE_STEPS + 1)
         if not self.further:
@@ -250,7 +250,7 @@ class Problem:
         runs = self.left_out(self._folds(len(self.groups) if alone else INNER_FOLDS))
         seen = self.rows & np.isfinite(runs["core"])
         correction_slope = self.correction_slope(runs)
-        runs["correction"] *= np.interp(self.warmth(), *correction_slope)
+        runs["correction"] *= np.interp(self.start_temperature(), *correction_slope)
         unseen = self.left_out(self.environments(), corrected=False)
         judged = self.rows & np.isfinite(unseen["core"])
         share = self._share(unseen["core"], judged) if judged.any() else 1.0

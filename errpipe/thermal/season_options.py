@@ -6,11 +6,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.yamlfile import quantity
 
 
-class SeasonOptions(Frozen):
+class SeasonOptions(FrozenModel):
     """How a thermal model for all seasons is fitted."""
 
     kind: Literal["thermal_season"] = "thermal_season"

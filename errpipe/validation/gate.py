@@ -15,7 +15,7 @@ TIE = 1e-6  # of the rms: no compensation at all is not worse than none
 
 
 @dataclass(frozen=True)
-class Passed:
+class GatedModel:
     """model: components with the validated gain; left_out: those without one; judged: figures for the report."""
 
     model: ErrorModel
@@ -23,14 +23,14 @@ class Passed:
     judged: tuple[dict[str, Any], ...]
 
 
-def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Passed:
+def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> GatedModel:
     """The part of a model that is better than no compensation in every validation, each component at its smallest gain.
 
     validations: documents of `validation.json` of this model. No compensation wins ties. Raises GateError if no
     validation covers the model, or if no component remains.
     """
     if not validations:
-        raise not_judged(model)
+        raise not_validated(model)
     kept, left_out, judged = [], [], []
     for component in model.components:
         figures = [c for v in validations for c in v["components"] if c["component"] == component.component]
@@ -48,7 +48,7 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
         raise GateError(
             f"export: not better than no compensation on held-out rows ({reasons}). Nothing was exported.{more}"
         )
-    return Passed(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
+    return GatedModel(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
 
 
 def _single_worse_run(components: Sequence[Mapping[str, Any]]) -> str:
@@ -66,7 +66,7 @@ def _single_worse_run(components: Sequence[Mapping[str, Any]]) -> str:
     return ""
 
 
-def not_judged(model: ErrorModel) -> GateError:
+def not_validated(model: ErrorModel) -> GateError:
     """The error to raise for a model without validation."""
     names = ", ".join(c.component for c in model.components)
     return GateError(

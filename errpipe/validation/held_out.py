@@ -37,7 +37,7 @@ VERSION = 1  # of the document's layout
 Blocks = Callable[[], Mapping[str, Sequence[HeldOut]]]
 
 
-def judged(
+def cross_validate(
     recording: Recording,
     family: Family,
     scheme: holdout.HoldOut | str | None = None,
@@ -103,7 +103,7 @@ def _left_out(
 
     def judge(fold: holdout.Fold) -> Mapping[str, HeldOut]:
         progress(next(number) / len(folds), f"without {fold.label}")
-        return family.judge(recording, fold)
+        return family.validate_fold(recording, fold)
 
     return judge_components(family.responses, folds, judge)
 
@@ -116,10 +116,10 @@ def _of_one_run(document: dict[str, Any]) -> None:
         component["groups"] = [group | {"coverage90": None} for group in component["groups"]]
 
 
-def judged_in_batches(
+def cross_validate_in_batches(
     source: Source, family: Family, scheme: holdout.HoldOut | None = None
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
-    """`judged` for a recording that is read batch by batch.
+    """`cross_validate` for a recording that is read batch by batch.
 
     rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor, steps and the test over runs
     are those of a sample of stretches of every run, which is returned second; clocks are judged if it is all rows.

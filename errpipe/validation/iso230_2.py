@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.domain import components
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import FrozenModel, Recording
 from errpipe.errors import DataError
 
 MIN_CYCLES = 2  # of one target and direction: with fewer, s is undefined. The standard requires 5.
@@ -26,7 +26,7 @@ NAMES = {1: "up", -1: "down"}
 ONE_STATE = 2.0  # K between medians of runs: 12 um over a metre of steel and scale, more than most R_i (by judgement)
 
 
-class Direction(Frozen):
+class Direction(FrozenModel):
     """Figures of one direction of approach. Lists run over `targets`; um (urad for a rotary axis)."""
 
     targets: tuple[float, ...]
@@ -39,7 +39,7 @@ class Direction(Frozen):
     A: float
 
 
-class Report(Frozen):
+class Report(FrozenModel):
     """ISO 230-2 figures of one axis. `unit` applies to every figure but `targets` (mm, deg).
 
     Bidirectional figures are None if only one direction was measured.

@@ -29,7 +29,7 @@ MIN_EXPECTED_IMPROVEMENT = 0.05
 
 
 @one_thread()
-def judged(
+def cross_validate(
     machine: Machine,
     document: Mapping[str, Any],
     tests: Mapping[str, Recording],
@@ -54,7 +54,7 @@ def judged(
         number, labels = held_out.groups(chain, all_readings.take(rows_of_test))
         group = np.full(len(all_readings), -1)
         group[rows_of_test] = number
-        held = held_out.judge(model, all_readings, group, labels, progress, factors)
+        held = held_out.cross_validate(model, all_readings, group, labels, progress, factors)
         if held:
             out[name] = _at_the_tool(chain, all_readings, held)
     for name, recording in tests.items():
@@ -127,7 +127,7 @@ def _held_out(
     _, folds = family.folds(recording, None)
     for number, fold in enumerate(folds):
         progress(number / len(folds), f"without {fold.label}")
-        parts = family.judge(recording, fold)
+        parts = family.validate_fold(recording, fold)
         for component, part in parts.items():
             by_component.setdefault(component, []).append(part)
         if parts:

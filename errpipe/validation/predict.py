@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
 
-from errpipe.domain.driver import Driver, remembers
+from errpipe.domain.driver import Driver, has_memory
 from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
@@ -54,7 +54,7 @@ class Predictor:
     @property
     def in_parts(self) -> bool:
         """Whether runs may arrive in parts."""
-        return self.begin is not None and not any(map(remembers, self.factor90.values()))
+        return self.begin is not None and not any(map(has_memory, self.factor90.values()))
 
     def half_width(self, component: str, alone: Recording, value: np.ndarray, far: np.ndarray) -> np.ndarray:
         """Half width of the 90 % interval per row of one run, for a component that has one."""

@@ -104,7 +104,7 @@ def run_contents(recording: Recording) -> list[str]:
     return out
 
 
-def among(recording: Recording, keys: Iterable[str], contents: Iterable[str]) -> frozenset[str]:
+def runs_among(recording: Recording, keys: Iterable[str], contents: Iterable[str]) -> frozenset[str]:
     """Keys of the runs that are among `keys`, or whose readings are among `contents` under any name."""
     known, read = frozenset(keys), frozenset(contents)
     both = zip(run_keys(recording), run_contents(recording), strict=True)
@@ -129,7 +129,7 @@ def score_new_runs(
     """Score every run that is neither known to the champion nor already scored, in order of appearance.
 
     champion: component -> its prediction, (rows,), from its table. known: keys of the runs of its fit;
-    scored: of runs scored in earlier evaluations (`among`). Each batch of new runs is predicted by a fit on the known
+    scored: of runs scored earlier (`runs_among`). Each batch of new runs is predicted by a fit on the known
     runs and the new ones before it; of runs with equal readings only the first is scored, because a challenger fitted
     on a run has a smaller residual in its copy. validity: of the champion; a challenger's table fades beyond it. Raises
     DataError, NotIdentifiable as the family does.
@@ -152,7 +152,7 @@ def score_new_runs(
         with suppress(NothingJudged):  # a sensor failed in all of them: no evidence for either
             own = extended(box(recording, [*ends], train), ends, recording)
             held, left = as_in_a_table(recording, own)
-            for component, judged in family.judge(held, Fold("new runs", train, test)).items():
+            for component, judged in family.validate_fold(held, Fold("new runs", train, test)).items():
                 after = judged.before + left[judged.rows] * (judged.after - judged.before)
                 judged = replace(judged, after=after)
                 out += _scores(recording, component, judged, champion[component], keys, contents)

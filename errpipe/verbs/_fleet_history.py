@@ -232,7 +232,7 @@ def fit_together(
         fitted = family.fit_batches(source)
         progress(0.8, fit.label)
         own = [v for v in validates if fit.label in spec.links[v.label].get("error_model", ())]
-        judged = [(v, held_out.judged_in_batches(source, family, v.holdout)) for v in own]
+        judged = [(v, held_out.cross_validate_in_batches(source, family, v.holdout)) for v in own]
         results.append((fit, family, fitted, judged))
     out, summary = Path(tasks[0][3]) / WHOLE, {}
     for fit, family, fitted, judged in results:  # nothing is written before all are there

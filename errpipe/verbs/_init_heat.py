@@ -171,7 +171,7 @@ def _judged(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldO
     try:
         dated = holdout.with_calendar(recording, scheme.of)
         folds = holdout.groups(dated, scheme)
-        return [left for fold in folds for left in family.judge(dated, fold).values()]
+        return [left for fold in folds for left in family.validate_fold(dated, fold).values()]
     except DataError:
         return None
 

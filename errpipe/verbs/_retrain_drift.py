@@ -35,7 +35,7 @@ def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray
     return known
 
 
-def silent(model: ErrorModel, recording: Recording) -> dict[str, list[str]]:
+def runs_without_readings(model: ErrorModel, recording: Recording) -> dict[str, list[str]]:
     """Column that a model reads -> labels of the runs in which it holds no reading; only such columns."""
     run, labels, out = recording.run_codes(), recording.run_labels(), {}
     for name in (n for n in model.columns if n in recording.frame and recording.manifest.columns[n].unit):
@@ -52,7 +52,7 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
     """
     both, reference = with_new_runs(old, recording, known)
     if both is not None:  # no prediction where a sensor is silent: the residual there is no change of the machine
-        lacking = {label for runs in silent(model, both).values() for label in runs}
+        lacking = {label for runs in runs_without_readings(model, both).values() for label in runs}
         complete = ~np.isin(np.asarray(both.run_labels())[both.run_codes()], list(lacking))
         both, reference = (
             (both.take(complete), reference[complete]) if (complete & ~reference).any() else (None, reference)

@@ -14,7 +14,7 @@ from errpipe.stages import _artefacts
 from errpipe.validation import input_drift
 from errpipe.validation.held_out import summarise_reasons
 from errpipe.validation.retraining import MIN_COVERAGE, Gate
-from errpipe.verbs._retrain_drift import silent, with_new_runs
+from errpipe.verbs._retrain_drift import runs_without_readings, with_new_runs
 
 MAX_NAMED = 6  # runs that a gate names
 
@@ -47,7 +47,7 @@ def outlying_runs(drift: Mapping[str, Any]) -> Iterator[Gate]:
 def silent_sensors(model: ErrorModel, recording: Recording) -> Iterator[Gate]:
     """Runs without evidence, as a sensor was silent; no promotion of a model with a sensor that is still silent."""
     last = recording.run_labels()[-1]
-    for name, runs in silent(model, recording).items():
+    for name, runs in runs_without_readings(model, recording).items():
         more = " and earlier ones" if len(runs) > MAX_NAMED else ""
         says = f"none in run {', '.join(runs[-MAX_NAMED:])}{more}: no evidence"
         says += ", and none in the last run: repair it, or fit without it" if last in runs else ""
@@ -74,7 +74,9 @@ def names(reused: Sequence[str], any_new: bool) -> list[Gate]:
     return [Gate("names of runs", any_new, says)]
 
 
-def change(differences: Mapping[str, Mapping[str, float]], limits: tuple[float | None, float | None]) -> Iterator[Gate]:
+def change_gate(
+    differences: Mapping[str, Mapping[str, float]], limits: tuple[float | None, float | None]
+) -> Iterator[Gate]:
     """No promotion of a challenger that differs from the champion by more than is allowed.
 
     differences: component -> largest difference, um, and per kelvin of a sensor, um/K; limits: of these, None for none.
@@ -86,7 +88,7 @@ def change(differences: Mapping[str, Mapping[str, float]], limits: tuple[float |
             yield Gate(name, limit is None or figures[key] <= limit, f"at most {figures[key]:.3g} {unit}{allowed}")
 
 
-def narrower(model: ErrorModel) -> list[str]:
+def narrowed_inputs(model: ErrorModel) -> list[str]:
     """Inputs of which the challenger is fitted on a part of the range that it holds for, a sentence each."""
     out = []
     for name, (low, high) in model.validity.seen.items():

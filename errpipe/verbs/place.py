@@ -14,7 +14,7 @@ from errpipe import files
 from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.errors import DataError, did_you_mean
 from errpipe.fitting import placement
-from errpipe.fitting.placement import Chosen
+from errpipe.fitting.placement import SensorPlacement
 from errpipe.simulation import spindle_bar
 
 # Standard errors over duty cycles by which a set must beat no compensation (false-alarm rate 2 to 10 %)
@@ -49,7 +49,7 @@ def place(file: Path, error: str, group: str | None, time: str | None, limit: in
     speeds = [n for n in names if SPEED.search(n.lower())]
     if not (names := [n for n in names if n not in speeds]):
         raise DataError(f"{file}: no candidate sensor position except {', '.join(speeds)}, which is a speed (its name)")
-    document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, limit)
+    document, lines = cross_validate(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, limit)
     notes = [f"not a sensor position but a clock: {', '.join(clocks)} (equal steps)"] if clocks else []
     notes += [f"not a sensor position but a speed: {', '.join(speeds)} (its name)"] if speeds else []
     others = [n for n in names if n not in document["chosen"]]
@@ -112,13 +112,15 @@ def bar(loss: float, limit: int) -> tuple[dict[str, Any], list[str]]:
         errors.append(spindle_bar.growth(theta))
         labels += [f"duty {k}"] * len(times)
     names = [f"{x:.2f} L" for x in body.places[::10]]
-    document, lines = judge(names, np.vstack(rows), np.concatenate(errors), np.array(labels), limit)
+    document, lines = cross_validate(names, np.vstack(rows), np.concatenate(errors), np.array(labels), limit)
     free = placement.lag_free_place(loss)
     document["lag_free_place"] = free
     return document, [*lines, f"a reading at {free:.3f} L lags as the growth does (the paper finds about 0.35 L)"]
 
 
-def judge(names: list[str], readings: Any, error: Any, labels: Any, limit: int) -> tuple[dict[str, Any], list[str]]:
+def cross_validate(
+    names: list[str], readings: Any, error: Any, labels: Any, limit: int
+) -> tuple[dict[str, Any], list[str]]:
     """Rises over the start of each duty cycle, judged by leave-one-duty-cycle-out."""
     readings, error = readings.copy(), error.copy()
     for label in np.unique(labels):
@@ -158,7 +160,7 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, limit: int) 
     return document, lines
 
 
-def _undecided(best: Chosen, nothing: float, cycles: int) -> str:
+def _undecided(best: SensorPlacement, nothing: float, cycles: int) -> str:
     """Why no set is chosen: none is better (one duty cycle may be why), or too few duty cycles show it."""
     if best.rms_left_out >= nothing:
         worst = max(best.groups, key=lambda name: best.groups[name])

@@ -59,7 +59,7 @@ def _document(
     component: str, cycles: DutyCycles, candidates: dict[str, list[int]], min_gain: float
 ) -> tuple[dict[str, Any], list[str]]:
     """The document and its lines. candidates: runs by label."""
-    known = cycles.learn(cycles.measured)
+    known = cycles.fit(cycles.measured)
     before, rest = cycles.expected(known), cycles.irreducible(known)
     rows = []
     for label, runs in candidates.items():

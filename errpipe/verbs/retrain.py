@@ -146,7 +146,7 @@ def _no_longer_kept(run: str, old: Recording, new: Recording) -> bool:
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
     old_model, old_recording, fingerprint = champion
-    known = retraining.among(recording, retraining.run_keys(old_recording), retraining.run_contents(old_recording))
+    known = retraining.runs_among(recording, retraining.run_keys(old_recording), retraining.run_contents(old_recording))
     prediction = predictions(old_model, recording)
     drift = _retrain_drift.drift(old_model, old_recording, recording, known)
     left_out = {label for stage in pipeline.stages for label in getattr(stage, "without_runs", ())}
@@ -169,7 +169,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
                 f"the champion has no {', '.join(lacking)}, which the pipeline fits: of an older pipeline? Run the"
                 " pipeline into its folder anew."
             )
-        already_scored = retraining.among(recording, (s.key for s in scores), (s.content for s in scores))
+        already_scored = retraining.runs_among(recording, (s.key for s in scores), (s.content for s in scores))
         held, left = as_in_a_table(recording, old_model.validity)
         in_its_table = {component: left * values for component, values in predictions(old_model, held).items()}
         for family in map(_artefacts.family_in, folders):
@@ -177,7 +177,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
             scores += [s for s in new if s.run not in wrong]
         gates += _retrain_gates.names(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
-        gates += _retrain_gates.change(change, limits)
+        gates += _retrain_gates.change_gate(change, limits)
         gates += [_retrain_gates.inputs(old_model, model, allowed), _retrain_gates.drifting_sensors(drift, model)]
         gates += _retrain_gates.coverage(pipeline, out / RUN)
     decision = retraining.decide(scores, gates, alpha=alpha)
@@ -193,7 +193,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "runs": [asdict(s) for s in scores],
         "drift": drift,
         "change": {} if refused else change,
-        "narrower": [] if refused else _retrain_gates.narrower(model),
+        "narrower": [] if refused else _retrain_gates.narrowed_inputs(model),
     }
 
 

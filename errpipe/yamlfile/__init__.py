@@ -18,14 +18,14 @@ from errpipe.yamlfile.choice import Choice
 from errpipe.yamlfile.document import MEASURED, Document, load, parse, read, text_of
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
-from errpipe.yamlfile.quantities import UNITS, Misplaced, Options, convert, is_unit, quantity
+from errpipe.yamlfile.quantities import UNITS, InvalidKey, Options, convert, is_unit, quantity
 
 __all__ = [
     "MEASURED",
     "UNITS",
     "Choice",
     "Document",
-    "Misplaced",
+    "InvalidKey",
     "Options",
     "Place",
     "convert",

@@ -16,7 +16,7 @@ from errpipe import files
 from errpipe.errors import ConfigError, Problem, UsageError
 from errpipe.yamlfile.events import Builder
 from errpipe.yamlfile.explain import explain
-from errpipe.yamlfile.places import Place, Spot, describe, dotted
+from errpipe.yamlfile.places import Location, Place, describe, dotted
 from errpipe.yamlfile.quantities import convert_quantities
 
 T = TypeVar("T")
@@ -32,15 +32,15 @@ class Document:
 
     file: str
     value: Any = None
-    spots: dict[Place, Spot] = field(default_factory=dict)
+    locations: dict[Place, Location] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
 
     def problem(self, place: Place, message: str, *, at: str = "value") -> Problem:
         """A problem at a place; `at` is "value", "key", or "parent" for what is missing there."""
         where = place[:-1] if at == "parent" else place
-        while where and where not in self.spots:
+        while where and where not in self.locations:
             where = where[:-1]
-        spot = self.spots.get(where, Spot((1, 1)))
+        spot = self.locations.get(where, Location((1, 1)))
         if spot.origin is not None:
             return Problem(spot.origin, 0, 0, dotted(place), message)
         line, column = spot.key if at != "value" and spot.key else spot.value
@@ -91,9 +91,9 @@ class Document:
                 target[step] = value
             else:
                 target = target.setdefault(step, {}) if isinstance(target, dict) else target[step]
-        for old in [spot for spot in self.spots if spot[: len(place)] == place]:
-            del self.spots[old]
-        self.spots[place] = Spot(origin=origin)
+        for old in [spot for spot in self.locations if spot[: len(place)] == place]:
+            del self.locations[old]
+        self.locations[place] = Location(origin=origin)
 
 
 def load(path: Path, model: type[T] | Any, *, environment: Mapping[str, str] | None = None) -> T:
@@ -148,4 +148,4 @@ def parse(text: str, file: str = "text", *, environment: Mapping[str, str] | Non
     """`read` for a text that is at hand."""
     builder = Builder(file, environment)
     value = builder.build(text)
-    return Document(file, value, builder.spots, builder.problems)
+    return Document(file, value, builder.locations, builder.problems)

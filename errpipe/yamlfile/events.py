@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
 from errpipe.errors import ConfigError, Problem, did_you_mean
-from errpipe.yamlfile.places import Place, Spot, dotted
+from errpipe.yamlfile.places import Location, Place, dotted
 
 # Far above what anyone writes by hand and far below what hurts.
 MAX_DEPTH = 40
@@ -55,7 +55,7 @@ class Builder:
     def __init__(self, file: str, environment: Mapping[str, str] | None):
         self.file = file
         self.environment = environment
-        self.spots: dict[Place, Spot] = {}
+        self.locations: dict[Place, Location] = {}
         self.problems: list[Problem] = []
         self._events: Iterator[Any] = iter(())
         self._anchors: dict[str, Any] = {}
@@ -108,7 +108,7 @@ class Builder:
         self._count(event, place, 1)
         if depth > MAX_DEPTH:
             self._stop(event, (), f"nested more than {MAX_DEPTH} levels deep")
-        self.spots[place] = Spot(_spot(event.start_mark), _spot(key.start_mark) if key is not None else None)
+        self.locations[place] = Location(_spot(event.start_mark), _spot(key.start_mark) if key is not None else None)
         kind = type(event).__name__
         if kind == "AliasEvent":
             return self._alias(event, place)
@@ -155,7 +155,7 @@ class Builder:
                 self._stop(key, place, "a key is a list, a mapping or an alias (a text is needed)")
             name = key.value
             if name in mapping:
-                first = (self.spots[(*place, name)].key or (0, 0))[0]
+                first = (self.locations[(*place, name)].key or (0, 0))[0]
                 self._note(key.start_mark, (*place, name), f"duplicate key in one mapping (first in line {first})")
                 self._value(next(self._events), (*place, f"{name} again"), key, depth + 1)
             else:

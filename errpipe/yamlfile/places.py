@@ -9,7 +9,7 @@ Place = tuple[str | int, ...]  # keys and list positions from the top, such as (
 
 
 @dataclass(frozen=True)
-class Spot:
+class Location:
     """Where a value and its key stand (line, column from 1); `origin` replaces the file's name (`--set a=1`)."""
 
     value: tuple[int, int] = (0, 0)

@@ -90,8 +90,8 @@ def quantity(unit: str, description: str, default: Any = PydanticUndefined, **mo
     return Field(default, description=description, json_schema_extra={"unit": unit}, **more)
 
 
-class Misplaced(ValueError):
-    """Raised in a validator of a whole model to point at one key inside it: Misplaced(("terms", 1), "...")."""
+class InvalidKey(ValueError):
+    """Raised in a validator of a whole model to point at one key inside it: InvalidKey(("terms", 1), "...")."""
 
     def __init__(self, place: tuple[str | int, ...], message: str):
         self.place = place

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from sensor_watch import watch as watched
 
-from errpipe.domain.recording import Frozen, Recording
+from errpipe.domain.recording import FrozenModel, Recording
 from errpipe.guard.description import SensorGuard
 
 Way = Literal["dead", "stuck", "drift", "step", "swap"]
@@ -22,7 +22,7 @@ DRIFT = 2.0  # K/h
 STEP = 5.0  # K
 
 
-class Trial(Frozen):
+class Trial(FrozenModel):
     """One sensor failing in one way. Rows are the recording's own cycles; rms over the rows after the failure."""
 
     sensor: str

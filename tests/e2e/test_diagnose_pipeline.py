@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from errpipe.diagnosis.applied import terms_of
-from errpipe.domain.diagnosis import Diagnosis, Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Where
+from errpipe.domain.diagnosis import Diagnosis, Extent, Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import GateError, UsageError
 from errpipe.pipeline import runner
@@ -215,7 +215,7 @@ def test_a_sure_finding_of_the_machine_is_accepted() -> None:
     [
         (found("backlash", 0.79, **BACKLASH), "its confidence of 0.79 is below 0.80"),
         (found("backlash", held=(5.0, 6.0), **BACKLASH), r"no better explained with it \(5 -> 6 um\)"),
-        (found("backlash", where=Where(runs=("2", "3")), **BACKLASH), r"some runs only \(2, 3\)"),
+        (found("backlash", where=Extent(runs=("2", "3")), **BACKLASH), r"some runs only \(2, 3\)"),
         (found("backlash", compensable=False, **BACKLASH), "no compiled form"),
         (
             found("backlash", indistinguishable_from=("sensor_drift",), **BACKLASH),

@@ -159,7 +159,7 @@ def test_started_by_root_it_has_no_rights(built: tuple[Path, Path], monkeypatch:
 
     child = os.fork()
     if child == 0:
-        fmu_worker.become(fmu_process.UID_NOBODY)
+        fmu_worker.drop_privileges(fmu_process.UID_NOBODY)
         with contextlib.suppress(PermissionError):
             os.setuid(0)
         mine = (*os.getresuid(), *os.getresgid(), *os.getgroups())

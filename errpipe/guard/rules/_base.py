@@ -9,15 +9,15 @@ from typing import ClassVar
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import FrozenModel
 from errpipe.guard import composed as c
-from errpipe.guard.rows import Healthy
+from errpipe.guard.rows import HealthyReadings
 
 FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together, or of one that no other replaces
 FREEZE_S = 300.0  # heaters and pumps switch every few minutes, so a healthy reading moves within this
 
 
-class Rule(Frozen, ABC):
+class Rule(FrozenModel, ABC):
     """A test of one sensor's reading without the others. The fields of a subclass are its limits, in K and K2."""
 
     rule: str
@@ -26,12 +26,12 @@ class Rule(Frozen, ABC):
 
     @classmethod
     @abstractmethod
-    def learn(cls, rows: Healthy, i: int, per_hour: float) -> Rule | None:
+    def learn(cls, rows: HealthyReadings, i: int, per_hour: float) -> Rule | None:
         """Limits of sensor i that healthy readings pass `per_hour` times an hour; None: the rule does not suit it."""
 
     @classmethod
     @abstractmethod
-    def alone(cls, rows: Healthy, i: int) -> Rule | None:
+    def alone(cls, rows: HealthyReadings, i: int) -> Rule | None:
         """Limits of a sensor that no other replaces: a false alarm costs the whole correction."""
 
     @abstractmethod
@@ -64,6 +64,6 @@ def squared_change(reading: d.Driver) -> d.Driver:
     return c.squared(d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, FREEZE_S))))
 
 
-def activity_of(rows: Healthy) -> np.ndarray:
+def activity_of(rows: HealthyReadings) -> np.ndarray:
     """`activity` of healthy readings, K2, (rows, sensors)."""
     return rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)

@@ -11,7 +11,7 @@ from pydantic import Field
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard import rates
-from errpipe.guard.rows import Healthy
+from errpipe.guard.rows import HealthyReadings
 from errpipe.guard.rules._base import FALSE_ALARMS, FREEZE_S, Rule, activity, activity_of
 
 REVIVED = 4.0  # times `still`: hysteresis, the activity from which a frozen sensor is accepted again (by judgement)
@@ -41,7 +41,7 @@ class FrozenReading(Rule):
     nodes: ClassVar[int] = 6
 
     @classmethod
-    def learn(cls, rows: Healthy, i: int, per_hour: float) -> FrozenReading | None:
+    def learn(cls, rows: HealthyReadings, i: int, per_hour: float) -> FrozenReading | None:
         """Near 0 a square of noise follows a power law, and that of a reading that rests fades exponentially, so minus
         its logarithm has Gumbel's tail."""
         usual, alive = _activity(rows, i)
@@ -56,7 +56,7 @@ class FrozenReading(Rule):
         return cls(still=level, usual=usual) if level > MIN_ACTIVITY * np.median(alive) else None
 
     @classmethod
-    def alone(cls, rows: Healthy, i: int) -> FrozenReading | None:
+    def alone(cls, rows: HealthyReadings, i: int) -> FrozenReading | None:
         """Of a sensor that has lost its own noise.
 
         A lag holds N = 2 / w - 1 readings, w the weight of one: the mean of N squares is below a share s of their
@@ -89,13 +89,13 @@ class FrozenReading(Rule):
         return np.where(np.arange(t.size) < half, healthy, healthy[half])
 
 
-def _activity(rows: Healthy, i: int) -> tuple[float, np.ndarray]:
+def _activity(rows: HealthyReadings, i: int) -> tuple[float, np.ndarray]:
     """Mean activity of one sensor, K2, and of each row."""
     alive = activity_of(rows)
     return float(np.mean(alive, axis=0)[i]), alive[:, i]
 
 
-def _coarse(rows: Healthy, i: int) -> bool:
+def _coarse(rows: HealthyReadings, i: int) -> bool:
     """Whether the resolution of a sensor hides its noise: successive readings are often equal."""
     within = rows.run[1:] == rows.run[:-1]
     return bool(within.any()) and float(np.mean((np.diff(rows.x[:, i]) == 0.0)[within])) > MOST_EQUAL

@@ -10,7 +10,7 @@ from pydantic import Field
 from errpipe.domain import driver as d
 from errpipe.guard import rates
 from errpipe.guard.composed import UNTIL_RESTART
-from errpipe.guard.rows import Healthy
+from errpipe.guard.rows import HealthyReadings
 from errpipe.guard.rules._base import FREEZE_S, Rule, squared_change
 
 JUMP_MARGIN = 1.5  # factor: an opening door in another season is faster
@@ -27,11 +27,11 @@ class SuddenChange(Rule):
     nodes: ClassVar[int] = 1  # besides those of the activity
 
     @classmethod
-    def learn(cls, rows: Healthy, i: int, per_hour: float) -> SuddenChange:
+    def learn(cls, rows: HealthyReadings, i: int, per_hour: float) -> SuddenChange:
         return cls(jump=_fastest(rows, i, per_hour))
 
     @classmethod
-    def alone(cls, rows: Healthy, i: int) -> SuddenChange:
+    def alone(cls, rows: HealthyReadings, i: int) -> SuddenChange:
         return cls(jump=max(QUICKER * _fastest(rows, i, 0.0), rates.ROLES["temperature"].slowest * FREEZE_S))
 
     def flag(self, reading: d.Driver) -> d.Driver:
@@ -48,7 +48,7 @@ class SuddenChange(Rule):
         return healthy + 30.0 * (t >= np.median(t))
 
 
-def _fastest(rows: Healthy, i: int, per_hour: float) -> float:
+def _fastest(rows: HealthyReadings, i: int, per_hour: float) -> float:
     """The fastest change of a healthy reading, K, exceeded at the stated rate.
 
     Of a row's reading minus the lag before it: a controller, which samples faster, may see all of a row's change.

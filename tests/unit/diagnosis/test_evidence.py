@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from errpipe.diagnosis.coloured import Colour, correlation_time, whiten
-from errpipe.diagnosis.evidence import Active, Data, Listed, Scene, Table, averaged, textbook_share
+from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene, ScoredHypotheses, Table, averaged, textbook_share
 from errpipe.diagnosis.hypotheses import rms_and_spread
 from errpipe.kernels import noise
 
@@ -18,7 +18,7 @@ def table(rng, n=400, k=6):
 
 
 def scene(made, y):
-    return Scene(Data(made, y), Active(np.array([6]), np.array([np.inf])), 1.0)
+    return Scene(Data(made, y), ActiveColumns(np.array([6]), np.array([np.inf])), 1.0)
 
 
 def test_the_true_column_wins_and_noise_pays():
@@ -37,13 +37,13 @@ def test_hypotheses_of_all_widths_at_once_have_the_evidence_of_each():
     columns[:, 7] = columns[:, 3] - columns[:, 5]  # what two others say already
     made = Table(np.zeros(400, dtype=int), [columns, np.ones((400, 1))], np.arange(400) * 5 // 400)
     y = columns[:, 3] + columns[:, 30:] @ rng.standard_normal(10) + rng.standard_normal(400)
-    beside = Scene(Data(made, y), Active(np.array([40, 30, 31]), np.array([np.inf, 2.0, 0.5])), 1.1)
+    beside = Scene(Data(made, y), ActiveColumns(np.array([40, 30, 31]), np.array([np.inf, 2.0, 0.5])), 1.1)
     index = [np.arange(3, 3 + w) for w in (1, 2, 3, 6, 37)]
     freedom = [rng.uniform(0.05, 1.0, i.size) for i in index]
-    gain, size, core = beside.scores(Listed(index, freedom, [1, 1, 2, 4, 20]), rows=300.0)
+    gain, size, core = beside.scores(ScoredHypotheses(index, freedom, [1, 1, 2, 4, 20]), rows=300.0)
     for k, i in enumerate(index):
         half = np.linalg.solve(beside.chol, beside.with_active(i))
-        S, s = made.W[:, i].T @ made.W[:, i] - half.T @ half, beside.Zy_all[i] - half.T @ beside.half
+        S, s = made.whitened[:, i].T @ made.whitened[:, i] - half.T @ half, beside.Zy_all[i] - half.T @ beside.half
         S, s = S * freedom[k][:, None] * freedom[k], freedom[k] * s
         assert_allclose(gain[k], averaged(S[None], s[None, :, None], np.array([beside.Q]), 300.0)[0, 0], rtol=1e-6)
         b = np.linalg.solve(S + np.eye(i.size) / size[k] ** 2, s)
@@ -86,14 +86,14 @@ def test_columns_added_later_have_the_same_products():
     _, made = table(rng)
     more = rng.standard_normal((400, 600))  # more than there is room for
     asked = np.array([6, 2, 4])
-    made.know(asked[:2])
+    made.form_products(asked[:2])
     made.add(more[:, :5])
-    made.know(asked)
+    made.form_products(asked)
     made.add(more[:, 5:])
     every = np.arange(made.width)
-    for without, W in ((None, made.W), (2, made.W[made.fold != 2])):
+    for without, W in ((None, made.whitened), (2, made.whitened[made.fold != 2])):
         assert_allclose(made.products(asked, every, without), W[:, asked].T @ W, rtol=1e-9, atol=1e-9)
-        assert_allclose(made.among(asked, without), W[:, asked].T @ W[:, asked], rtol=1e-9, atol=1e-9)
+        assert_allclose(made.products_among(asked, without), W[:, asked].T @ W[:, asked], rtol=1e-9, atol=1e-9)
 
 
 def test_products_are_formed_anew_for_another_noise_and_after_columns_are_forgotten():
@@ -102,13 +102,13 @@ def test_products_are_formed_anew_for_another_noise_and_after_columns_are_forgot
     asked, fresh = np.array([1, 5, 6]), rng.standard_normal((400, 3))
     for change in (lambda: made.recolour(Colour(20.0, 0.9)), lambda: made.truncate(7)):
         made.add(fresh)
-        made.know(asked)
-        made.among(asked)
+        made.form_products(asked)
+        made.products_among(asked)
         change()
         made.add(fresh[:, 1:])
-        W = made.W[made.fold != 1]
+        W = made.whitened[made.fold != 1]
         assert_allclose(made.products(asked, np.arange(made.width), 1), W[:, asked].T @ W, rtol=1e-9, atol=1e-9)
-        assert_allclose(made.among(asked, 1), W[:, asked].T @ W[:, asked], rtol=1e-9, atol=1e-9)
+        assert_allclose(made.products_among(asked, 1), W[:, asked].T @ W[:, asked], rtol=1e-9, atol=1e-9)
 
 
 def test_on_noise_alone_no_column_gains():
@@ -141,8 +141,10 @@ def test_a_fold_left_out_is_as_if_it_had_not_been_there():
     rows = made.rows[0]
     keep = np.setdiff1d(np.arange(400), rows)
     every = np.arange(made.width)
-    assert_allclose(made.products(every, every, data.without), made.W[keep].T @ made.W[keep], rtol=1e-9, atol=1e-9)
-    assert_allclose(data.products(), made.W[keep].T @ data.y[keep], rtol=1e-9, atol=1e-9)
+    assert_allclose(
+        made.products(every, every, data.without), made.whitened[keep].T @ made.whitened[keep], rtol=1e-9, atol=1e-9
+    )
+    assert_allclose(data.products(), made.whitened[keep].T @ data.y[keep], rtol=1e-9, atol=1e-9)
     assert data.n == keep.size
 
 

@@ -23,7 +23,7 @@ def judged(columns, kinds, component, error, simulated, unit="um"):
     kinds |= {"y_sim": {"role": "simulated", "component": component, "unit": unit}}
     raw = recording(columns | {"y_read": np.round(error, 4), "y_sim": np.round(simulated, 4)}, kinds)
     (pair,), _ = prepare.pairs(raw)
-    return judge.judge(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
+    return judge.diagnose_response(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
 
 
 def names(case):
@@ -78,7 +78,7 @@ def test_indistinguishable_partial_names_share_the_confidence_of_their_class(mon
     case = judged(columns, kinds, "EXX", simulated + 1.5 * (columns["T"] - 20) * inside + 0.5 * noise, simulated)
     known = [report.indicators_of(case, 0, holdout.held_out(case))]
     limits = {"never": 0.0, "always": 50.0}
-    made = model.modelled(case, 0)
+    made = model.fit_finding(case, 0)
     said = {}
     for what, limit in limits.items():
         monkeypatch.setattr(report, "TIED", limit)
@@ -259,7 +259,7 @@ def test_the_temperature_from_which_a_part_counts_is_no_other_mechanism():
     case = judged(columns, kinds, "EXX", 20e-3 * columns["x"] + hidden + 0.5 * noise, 20e-3 * columns["x"])
     assert names(case) == ["thermal_drift"] and case.explanation.accepted[0].hypothesis.mask[0] == "range"
     held = holdout.held_out(case)
-    assert held.textbook_share() > 0.9 and not unnamed.departs(case, held)
+    assert held.textbook_share() > 0.9 and not unnamed.departures_predict_held_out(case, held)
 
 
 def test_tools_of_which_few_wear_are_no_other_mechanism():
@@ -271,7 +271,7 @@ def test_tools_of_which_few_wear_are_no_other_mechanism():
     simulated, worn = 0.02 * columns["F"], 8.0 * np.sqrt(length / 1000) * np.isin(run, (0, 3))
     case = judged(columns, kinds, "E_D", simulated + worn + 0.7 * rng.standard_normal(run.size), simulated)
     assert names(case) == ["tool_wear"]
-    assert not unnamed.departs(case, holdout.held_out(case))
+    assert not unnamed.departures_predict_held_out(case, holdout.held_out(case))
 
 
 @pytest.mark.parametrize("level", [True, False])

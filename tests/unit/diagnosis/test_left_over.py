@@ -16,7 +16,7 @@ from .machines import axis, spindle
 
 def judged(recording) -> judge.Case:
     (pair,), _ = prepare.pairs(recording)
-    return judge.judge(recording, prepare.condition(recording), pair)
+    return judge.diagnose_response(recording, prepare.condition(recording), pair)
 
 
 def with_mismatch(case: judge.Case, y: np.ndarray) -> judge.Case:
@@ -83,7 +83,10 @@ def test_on_nulls_every_p_of_the_search_is_as_likely_as_any(quiet):
     """200 nulls: of p <= 0.05, 0.2 and 0.5 about as many as that."""
     rng = np.random.default_rng(9)
     p = np.array(
-        [significance.chance(with_mismatch(quiet, 0.5 * noise(rng, quiet.run, 0.06, 8.0))).p for _ in range(200)]
+        [
+            significance.surrogate_test(with_mismatch(quiet, 0.5 * noise(rng, quiet.run, 0.06, 8.0))).p
+            for _ in range(200)
+        ]
     )
     for level in (0.05, 0.2, 0.5):
         assert np.mean(p <= level) < level + 2.6 * np.sqrt(level * (1 - level) / p.size)
@@ -92,12 +95,12 @@ def test_on_nulls_every_p_of_the_search_is_as_likely_as_any(quiet):
 
 def test_a_planted_effect_is_beyond_chance():
     case = judged(axis(3, hidden=lambda c: -2.0 * c["dir"]))
-    probability = significance.chance(case, 0)
+    probability = significance.surrogate_test(case, 0)
     assert case.explanation.accepted[0].hypothesis.effect in ("backlash", "friction_hysteresis")  # no short reversals
     assert probability.p == 0.01 and probability.gain > 5 * max(probability.limit, 1.0)
     assert probability.rows == pytest.approx(case.run.size, rel=0.3)  # what is left is noise: rows count
     assert len(case.explanation.accepted) == 1  # its surrogates are those of the whole search, which are known then
-    again = significance.chance(case, 0, whole=significance.chance(case))
+    again = significance.surrogate_test(case, 0, whole=significance.surrogate_test(case))
     assert (again.p, again.gain, again.limit) == (probability.p, probability.gain, probability.limit)
 
 
@@ -105,7 +108,7 @@ def test_rows_that_repeat_their_neighbours_count_for_less():
     case = judged(spindle(2))
     rng = np.random.default_rng(10)
     slow = np.repeat(rng.standard_normal(case.y.size // 12 + 1), 12)[: case.y.size]
-    assert significance.chance(with_mismatch(case, slow), surrogates=1).rows < case.y.size / 6
+    assert significance.surrogate_test(with_mismatch(case, slow), surrogates=1).rows < case.y.size / 6
 
 
 def test_a_permanent_step_is_a_change_point_and_noise_has_none(quiet):

@@ -303,9 +303,9 @@ def test_a_wandering_residual_is_predicted_or_coloured_noise(monkeypatch, share,
     case.library, case.taken_back, case.noise_estimate = (
         SimpleNamespace(table=SimpleNamespace(colour=colour)), taken_back, 0.5 * far)  # fmt: skip
     case.explanation = SimpleNamespace(accepted=(1,) if named else ())
-    assert bool(unnamed.wanders(case)) is expected  # type: ignore[arg-type]
+    assert bool(unnamed.has_slow_drift(case)) is expected  # type: ignore[arg-type]
     case.residual = np.random.default_rng(1).standard_t(2, 600)  # heavy tails alone are foretold by nothing
-    assert bool(unnamed.wanders(case)) is (expected and (share > 0.5 or taken_back))  # type: ignore[arg-type]
+    assert bool(unnamed.has_slow_drift(case)) is (expected and (share > 0.5 or taken_back))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("parts", "kinds", "named", "after", "most"), [
@@ -326,7 +326,7 @@ def test_a_signal_that_was_itself_recorded_accounts_for_what_names_leave(monkeyp
     case.explanation, case.run = SimpleNamespace(accepted=[SimpleNamespace(gain=20.0)]), np.zeros(200)
     case.search.rows = None
     held = replace(held, before=2.0, after=after, named=named, bare=1.0)
-    assert unnamed.chance(case, [1], held) == most  # type: ignore[arg-type, list-item]
+    assert unnamed.unknown_probability(case, [1], held) == most  # type: ignore[arg-type, list-item]
 
 
 @pytest.mark.parametrize(("wandering", "reset", "jump"), [(0.0, 3.0, True), (0.4, 0.0, False), (0.0, 0.0, False)])

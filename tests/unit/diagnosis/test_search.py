@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import judge
-from errpipe.diagnosis.evidence import Active, Data
+from errpipe.diagnosis.evidence import ActiveColumns, Data
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.diagnosis.search import Accepted, Search
 from errpipe.terms import NEVER
@@ -27,7 +27,7 @@ def library(columns: dict[str, np.ndarray]) -> Library:
 
 def explained(columns: dict[str, np.ndarray], y: np.ndarray) -> set[str]:
     made = library(columns)
-    nuisance = Active(np.array([made.datum]), np.array([np.inf]))
+    nuisance = ActiveColumns(np.array([made.datum]), np.array([np.inf]))
     search = Search(made, Data(made.table, y), nuisance, 1.0, np.zeros(len(columns)), 10.0, 10.0)
     return {f.hypothesis.effect for f in search.explain().accepted}
 
@@ -86,7 +86,7 @@ def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, form, simpl
     )
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     expected = ("inertial_deflection",) if simpler else (found,)
-    assert Search.simplest(search, (found,)) == expected
+    assert Search.prefer_simpler(search, (found,)) == expected
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_a_slope_that_no_temperature_moves_is_no_expansion(lost, drivers, simple
     search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
     search.rivals, search.form_share = lambda accepted, k: [("scale_error", lost, 1)], lambda chosen, place: 1.0
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
-    assert Search.simplest(search, (found,)) == (("scale_error",) if simpler else (found,))
+    assert Search.prefer_simpler(search, (found,)) == (("scale_error",) if simpler else (found,))
 
 
 @pytest.mark.parametrize(("lost", "simpler"), [(1.0, True), (3.0, False)])
@@ -115,7 +115,7 @@ def test_a_drift_with_the_coolant_stands_for_its_flow_only_where_they_are_tied(l
     search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
     search.rivals, search.form_share = lambda accepted, k: [("thermal_drift", lost, 1)], lambda chosen, place: 1.0
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
-    assert Search.simplest(search, (found,)) == (("thermal_drift",) if simpler else (found,))
+    assert Search.prefer_simpler(search, (found,)) == (("thermal_drift",) if simpler else (found,))
 
 
 @pytest.mark.parametrize(

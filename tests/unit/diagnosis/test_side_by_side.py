@@ -44,7 +44,7 @@ def test_a_response_takes_columns_of_the_one_before_to_the_bit(before: str, monk
     of = hypotheses.columns_of
     monkeypatch.setattr(hypotheses, "columns_of", lambda h, *a: made.append(h) or of(h, *a))
     taken, own = (hypotheses.build(r, "EYX", rows) for r in (recording, alone))
-    assert np.array_equal(taken.table.W, own.table.W)
+    assert np.array_equal(taken.table.whitened, own.table.whitened)
     assert taken.table.names == own.table.names
     for one in ("places", "freedoms", "scales"):
         assert all(map(np.array_equal, getattr(taken, one), getattr(own, one)))
@@ -57,7 +57,7 @@ def test_a_column_of_a_table_is_the_filtered_one_to_the_bit(width: int) -> None:
     rng = np.random.default_rng(3)
     run, columns = np.repeat([0, 1, 2], [40, 1, 59]), rng.standard_normal((100, width))
     table = Table(run, [columns], np.zeros(100, dtype=int))
-    assert np.array_equal(table.W, whiten(columns, run))
+    assert np.array_equal(table.whitened, whiten(columns, run))
     table.recolour(Colour(30.0, 0.5))
     added = table.add(columns)
-    assert np.array_equal(table.W[:, added], whiten(columns, run, table.colour))
+    assert np.array_equal(table.whitened[:, added], whiten(columns, run, table.colour))

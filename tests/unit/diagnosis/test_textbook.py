@@ -41,9 +41,11 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
     monkeypatch.setattr(unnamed.model, "modelled", lambda case, k: None)
     monkeypatch.setattr(unnamed.plausible, "is_insignificant", lambda made: unsized)
-    assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
-    assert unnamed.departs(in_part, held(3.0, textbook, 1.0)) == departs
-    assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0))), held(3.0, textbook, 1.0))
+    assert unnamed.departures_predict_held_out(explained, held(3.0, textbook, 1.0)) == departs
+    assert unnamed.departures_predict_held_out(in_part, held(3.0, textbook, 1.0)) == departs
+    assert not unnamed.departures_predict_held_out(
+        SimpleNamespace(explanation=Explanation((), np.zeros(0))), held(3.0, textbook, 1.0)
+    )
 
 
 def test_the_weakest_of_several_impossible_findings_is_ruled_out_first(monkeypatch):

@@ -127,8 +127,8 @@ def test_batches_and_memory_give_the_same_model_and_the_same_held_out_figures(tm
     if scheme is None:
         same(family.fit_batches(source).model.model_dump(), family.fit(recording).model.model_dump())
     chosen = None if scheme is None else held_out.holdout.parse(scheme)
-    judged_in_batches_result, rows = held_out.judged_in_batches(source, family, chosen)
-    known, expected = held_out.judged(recording, family, chosen)
+    judged_in_batches_result, rows = held_out.cross_validate_in_batches(source, family, chosen)
+    known, expected = held_out.cross_validate(recording, family, chosen)
     same(judged_in_batches_result, known)
     for name, folds in rows.items():
         for one, other in zip(folds, expected[name], strict=True):
@@ -159,8 +159,8 @@ def test_readings_between_empty_rows_are_held_over_the_borders_of_batches(tmp_pa
     for one, other in zip(family.fit_batches(source).model.components, whole.components, strict=True):
         same([t.values() for t in one.terms], [t.values() for t in other.terms])
         same([one.rms_after, one.rows, one.half_width90], [other.rms_after, other.rows, other.half_width90])
-    judged, _ = held_out.judged_in_batches(source, family, None)
-    same(judged, held_out.judged(recording, family, None)[0])
+    judged, _ = held_out.cross_validate_in_batches(source, family, None)
+    same(judged, held_out.cross_validate(recording, family, None)[0])
 
 
 def test_states_go_on_over_the_borders_of_batches(tmp_path):
@@ -175,14 +175,14 @@ def test_states_go_on_over_the_borders_of_batches(tmp_path):
 
 
 def cut(recording: Recording, rows: int) -> list[Recording]:
-    from errpipe.domain.recording import Past
+    from errpipe.domain.recording import CarriedState
 
-    parts, past = [], Past()
+    parts, past = [], CarriedState()
     for first in range(0, len(recording), rows):
         frame = recording.frame.iloc[first : first + rows].reset_index(drop=True)
         parts.append(Recording(recording.manifest, frame, recording.between, past))
         timed = recording.name("time") is not None
-        past = Past(parts[-1].run_labels()[-1], float(parts[-1].time()[-1]) if timed else -1.0, {})
+        past = CarriedState(parts[-1].run_labels()[-1], float(parts[-1].time()[-1]) if timed else -1.0, {})
         yield parts[-1]
         past.states.update(parts[-1].past.later)
 

@@ -329,4 +329,4 @@ def test_a_prior_names_one_parameter_of_one_term(axis):
     with pytest.raises(ValueError, match=r"no linear parameter gian of thermal_drift .allowed: gain"):
         spec(parameter="gian", where={"sensor": "T_bed"})
     prior = spec(where={"sensor": "T_bed"}).components[0].priors[0]
-    assert [prior.concerns(t) for t in spec(where={"sensor": "T_bed"}).components[0].terms] == [False, True]
+    assert [prior.applies_to(t) for t in spec(where={"sensor": "T_bed"}).components[0].terms] == [False, True]

@@ -11,7 +11,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from errpipe.fitting import side_by_side as module
-from errpipe.fitting.side_by_side import ahead, no_warnings, side_by_side
+from errpipe.fitting.side_by_side import no_warnings, prefetched, side_by_side
 from errpipe.fitting.solve import one_thread
 
 
@@ -53,10 +53,10 @@ def test_what_is_made_ahead_comes_in_order_and_few_results_wait(cores: int, monk
             raise ValueError(k)
         return k
 
-    for n, k in enumerate(ahead(slow, range(20))):
+    for n, k in enumerate(prefetched(slow, range(20))):
         assert k == n and len(begun) <= n + module.AHEAD + 2
     with pytest.raises(ValueError, match="30"):
-        list(ahead(slow, range(100)))
+        list(prefetched(slow, range(100)))
     assert max(begun) <= 30 + module.AHEAD
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from errpipe.kinematics.beam import Stretch, Support, compliance
+from errpipe.kinematics.beam import Section, Support, compliance
 
 E, NU = 210e3, 0.3
 G = E / (2 * (1 + NU))
@@ -13,16 +13,16 @@ G = E / (2 * (1 + NU))
 
 def test_a_slender_cantilever_is_f_z3_over_3ei():
     z = np.linspace(100.0, 400.0, 7)
-    shaft = Stretch(400.0, diameter=4.0)
+    shaft = Section(400.0, diameter=4.0)
     assert compliance([shaft], z) == pytest.approx(z**3 / (3 * E * shaft.inertia()) * 1e3, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     "part, factor",
     [
-        (Stretch(120.0, diameter=40.0), 6 * (1 + NU) / (7 + 6 * NU)),
-        (Stretch(60.0, width=20.0, height=25.0), 10 * (1 + NU) / (12 + 11 * NU)),
-        (Stretch(90.0, diameter=50.0, bore=49.999), 2 * (1 + NU) / (4 + 3 * NU)),  # Cowper's thin tube
+        (Section(120.0, diameter=40.0), 6 * (1 + NU) / (7 + 6 * NU)),
+        (Section(60.0, width=20.0, height=25.0), 10 * (1 + NU) / (12 + 11 * NU)),
+        (Section(90.0, diameter=50.0, bore=49.999), 2 * (1 + NU) / (4 + 3 * NU)),  # Cowper's thin tube
     ],
 )
 def test_a_stubby_cantilever_is_timoshenko_with_cowpers_factor(part, factor):
@@ -33,7 +33,7 @@ def test_a_stubby_cantilever_is_timoshenko_with_cowpers_factor(part, factor):
 
 def test_clamped_and_propped_is_the_statically_indeterminate_closed_form():
     """Force at a from the clamped end of a slender beam, simply supported at the other: by superposition."""
-    part, length = Stretch(300.0, diameter=1.5), 300.0
+    part, length = Section(300.0, diameter=1.5), 300.0
     a = np.array([60.0, 150.0, 240.0])
     bend = E * part.inertia()
     reaction = a**2 * (3 * length - a) / (2 * length**3)
@@ -43,7 +43,7 @@ def test_clamped_and_propped_is_the_statically_indeterminate_closed_form():
 
 def test_steps_are_the_sum_of_their_parts():
     """Tip of a two-step cantilever by the unit load method: bending and shear of each step integrated."""
-    first, second = Stretch(80.0, diameter=50.0), Stretch(120.0, diameter=30.0)
+    first, second = Section(80.0, diameter=50.0), Section(120.0, diameter=30.0)
     total, closed = 200.0, 0.0
     for part, start in ((first, 0.0), (second, 80.0)):
         far, near = total - start, total - start - part.length
@@ -53,7 +53,7 @@ def test_steps_are_the_sum_of_their_parts():
 
 
 def test_a_chuck_adds_its_springs_and_a_tailstock_carries():
-    part, z = Stretch(200.0, diameter=40.0), np.array([50.0, 200.0])
+    part, z = Section(200.0, diameter=40.0), np.array([50.0, 200.0])
     rigid = compliance([part], z)
     soft = compliance([part], z, Support(radial=100.0, turning=0.5))
     # 1/100 um/N; turning: F z / (0.5 N m/urad) in urad, times z
@@ -63,4 +63,4 @@ def test_a_chuck_adds_its_springs_and_a_tailstock_carries():
 
 def test_a_force_beyond_the_shaft_is_refused():
     with pytest.raises(ValueError, match="not on a shaft of 100 mm"):
-        compliance([Stretch(100.0, diameter=10.0)], np.array([120.0]))
+        compliance([Section(100.0, diameter=10.0)], np.array([120.0]))

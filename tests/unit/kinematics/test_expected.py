@@ -16,7 +16,9 @@ def played(machine: str, protocol: str, seed: int):
     """Identification and readings of one simulated test."""
     chain = ready(machine)
     values = metrology.smooth_machine(chain, seed)
-    recording = metrology.record(chain, values, protocol, measuring_runs.PROTOCOLS[protocol](chain), seed, noise=0.5)
+    recording = metrology.simulate_runs(
+        chain, values, protocol, measuring_runs.PROTOCOLS[protocol](chain), seed, noise=0.5
+    )
     obs = protocols.observations(chain, recording)
     return identify.identify(identify.Parametrisation.of(chain, 12), obs), obs
 

@@ -39,7 +39,7 @@ def setting(build):
 
 def play(chain, known, protocol, runs, seed, noise=0.5):
     values = {n: v for n, v in metrology.smooth_machine(chain, seed).items() if n not in known}
-    recording = metrology.record(chain, values, protocol, runs, seed + 5000, noise=noise)
+    recording = metrology.simulate_runs(chain, values, protocol, runs, seed + 5000, noise=noise)
     return values, recording
 
 
@@ -128,7 +128,7 @@ def test_large_set_up_errors_do_not_matter():
     protocol, runs = played.telescoping(chain)
     model = identify.Parametrisation.of(chain, modes=10)
     values = metrology.smooth_machine(chain, 3)
-    recording = metrology.record(chain, values, protocol, runs, 4, noise=0.2, setup=1500.0)
+    recording = metrology.simulate_runs(chain, values, protocol, runs, 4, noise=0.2, setup=1500.0)
     test = protocols.observations(chain, recording)
     fitted = identify.identify(model, test, iterations=4)
     assert fitted.noise < 0.35
@@ -141,7 +141,7 @@ def test_where_a_test_stood_is_no_error_of_the_machine(build):
     """A machine without errors, sockets and artefacts placed by hand: nothing is found beyond what is left open."""
     chain = ready("cmm")
     protocol, runs = build(chain)
-    recording = metrology.record(chain, {}, protocol, runs, 6, noise=0.5, setup=100.0)
+    recording = metrology.simulate_runs(chain, {}, protocol, runs, 6, noise=0.5, setup=100.0)
     fitted = identify.identify(identify.Parametrisation.of(chain, modes=10), protocols.observations(chain, recording))
     q, tip = remaining.places(chain, 60), chain.tip(120.0)
     take = played.rigid_free(chain, q, tip)
@@ -156,7 +156,7 @@ def test_x_and_y_exchanged_give_the_same_numbers():
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 200.0, 120.0, 60)
     out = []
     for value in (30.0, -30.0):
-        recording = metrology.record(chain, {"C0Y": value}, "ballbar_circle", runs, 1, noise=0.01, setup=0.0)
+        recording = metrology.simulate_runs(chain, {"C0Y": value}, "ballbar_circle", runs, 1, noise=0.01, setup=0.0)
         result = identify.identify(
             identify.Parametrisation.of(chain, modes=4), protocols.observations(chain, recording)
         )
@@ -168,7 +168,7 @@ def test_a_circle_that_counts_from_the_machine_s_zero_is_refused():
     """Taken from the centre, it lay at other places of the machine: a table from it made Y worse, 19 to 84 um."""
     chain = ready("cmm")
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 100.0, 100.0, 60)
-    recording = metrology.record(chain, {}, "ballbar_circle", runs, 1)
+    recording = metrology.simulate_runs(chain, {}, "ballbar_circle", runs, 1)
     assert len(protocols.observations(chain, recording)) == len(recording.frame)
     frame = recording.frame.copy()
     frame[recording.name("position", axis="X")] += 100.0
@@ -187,13 +187,13 @@ def test_what_is_known_may_be_given():
 
 def test_an_unknown_protocol_is_named():
     chain = ready("cmm")
-    recording = metrology.record(chain, {}, "baal_plate", [metrology.Run("1", chain.travel.T.copy(), 100.0)], 1)
+    recording = metrology.simulate_runs(chain, {}, "baal_plate", [metrology.Run("1", chain.travel.T.copy(), 100.0)], 1)
     with pytest.raises(DataError, match="Did you mean ball_plate"):
         protocols.observations(chain, recording)
 
 
 def test_too_few_readings_are_refused():
     chain = ready("cmm")
-    recording = metrology.record(chain, {}, "point_cloud", [metrology.Run("1", chain.travel.T.copy(), 100.0)], 1)
+    recording = metrology.simulate_runs(chain, {}, "point_cloud", [metrology.Run("1", chain.travel.T.copy(), 100.0)], 1)
     with pytest.raises(DataError, match="at least 8 readings"):
         identify.identify(identify.Parametrisation.of(chain), protocols.observations(chain, recording))

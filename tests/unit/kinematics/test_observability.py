@@ -21,7 +21,7 @@ def cloud(chain, tools):
 
 def test_one_tool_cannot_show_the_roll_of_the_last_axis():
     chain = ready("cmm")
-    examination = observability.examine(chain, cloud(chain, [(120.0, (0, 0, 0))]))
+    examination = observability.analyse_observability(chain, cloud(chain, [(120.0, (0, 0, 0))]))
     assert examination.seen["ECZ"] < 0.05 < 0.9 < examination.seen["EXX"]
     assert any("ECZ" in u.components for u in examination.unobserved)
     assert examination.rank < examination.parameters
@@ -29,7 +29,7 @@ def test_one_tool_cannot_show_the_roll_of_the_last_axis():
 
 def test_three_tools_show_everything():
     chain = ready("cmm")
-    examination = observability.examine(
+    examination = observability.analyse_observability(
         chain, cloud(chain, [(80.0, (0, 0, 0)), (200.0, (0, 0, 0)), (120.0, (60.0, 40.0, 0))])
     )
     assert examination.unobserved == ()
@@ -62,8 +62,8 @@ def test_the_smallest_extra_measurement_makes_the_roll_visible():
 def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
     chain = ready("cmm")
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 150.0, 120.0, 36)
-    test = protocols.observations(chain, metrology.record(chain, {}, "ballbar_circle", runs, 1))
-    examination = observability.examine(chain, test)
+    test = protocols.observations(chain, metrology.simulate_runs(chain, {}, "ballbar_circle", runs, 1))
+    examination = observability.analyse_observability(chain, test)
     assert examination.seen["ECX"] < 0.05
     extra = observability.smallest_extra(chain, test)
     assert any("along X, about C" in e.name for e in extra)
@@ -73,7 +73,7 @@ def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
 def test_a_plan_shows_all_components(name):
     chain = ready(name)
     growth = tuple(c for c in chain.components if c[2:] == "S")
-    means = plan.Means(reach=(150.0, 3500.0), tools=plan.default_tools(chain))
+    means = plan.Equipment(reach=(150.0, 3500.0), tools=plan.default_tools(chain))
     proposed = plan.propose(chain, means=means, without=growth)
     assert proposed.open == ()
     assert proposed.minutes < 180
@@ -99,7 +99,7 @@ def test_a_planned_test_identifies_the_machine():
     runs = [
         metrology.Run(str(i), b.q, b.length, b.offset, socket=np.array(b.socket)) for i, b in enumerate(proposed.blocks)
     ]
-    test = protocols.observations(chain, metrology.record(chain, values, "telescoping_bar", runs, 3))
+    test = protocols.observations(chain, metrology.simulate_runs(chain, values, "telescoping_bar", runs, 3))
     fitted = identify.identify(identify.Parametrisation.of(chain), test)
     q = np.random.default_rng(0).uniform(chain.travel[:, 0], chain.travel[:, 1], (200, 3))
     truth = synthesis.exact(chain, q, metrology.components_at(chain, values, q))[:, :3]
@@ -109,4 +109,4 @@ def test_a_planned_test_identifies_the_machine():
 
 def test_a_bar_too_short_is_refused():
     with pytest.raises(DataError, match="reaches no position"):
-        plan.propose(ready("gantry"), means=plan.Means(reach=(1.0, 2.0)))
+        plan.propose(ready("gantry"), means=plan.Equipment(reach=(1.0, 2.0)))

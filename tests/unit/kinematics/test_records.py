@@ -57,7 +57,7 @@ def test_without_a_square_the_squareness_is_named_as_unseen():
     chain = ready("cmm")
     values = metrology.smooth_machine(chain, 2)
     recording = played.record(chain, values, played.SetUp(targets=9, cycles=1), 2)
-    seen = observability.examine(chain, records.observations(chain, {"": recording}), noise=1.0)
+    seen = observability.analyse_observability(chain, records.observations(chain, {"": recording}), noise=1.0)
     assert {c for u in seen.unobserved for c in u.components} == {"C0Y", "A0Z", "B0Z"}
     extra = observability.smallest_extra(chain, records.observations(chain, {"": recording}), noise=1.0)
     assert {c for e in extra for c in e.resolves} == {"C0Y", "A0Z", "B0Z"}
@@ -69,12 +69,12 @@ def test_records_and_a_ball_bar_together_give_what_neither_gives():
     chain = ready("cmm")
     values = metrology.smooth_machine(chain, 4)
     single = records.observations(chain, {"": played.record(chain, values, played.SetUp(targets=11, cycles=2), 4)})
-    bar = metrology.record(chain, values, "ballbar_circle", measuring_runs.circles(chain), 4, noise=0.3)
+    bar = metrology.simulate_runs(chain, values, "ballbar_circle", measuring_runs.circles(chain), 4, noise=0.3)
     both = o.concatenate([protocols.observations(chain, bar), single])
     fitted = identify.identify(identify.Parametrisation.of(chain, 8), both)
     for row in fitted.table():
         assert row["value"] == pytest.approx(values[row["component"]], abs=2.5)
-    assert observability.examine(chain, both, noise=1.0).unobserved == ()
+    assert observability.analyse_observability(chain, both, noise=1.0).unobserved == ()
 
 
 @pytest.mark.parametrize("definition", [{}, {"errors_of": "carriage"}, {"reference_on": "guideway"}])
@@ -118,7 +118,7 @@ def test_readings_that_sat_out_are_left_with_the_noise():
     left = [
         x
         for _, train, test in folds
-        for x in direct_family.judge(chain, recording, train, test, lasers={"EXX": direct.Laser(**ABBE)})
+        for x in direct_family.validate_fold(chain, recording, train, test, lasers={"EXX": direct.Laser(**ABBE)})
     ]
     exx = np.concatenate([x.after for x in left if x.component == "EXX"])
     before = np.concatenate([x.before for x in left if x.component == "EXX"])
@@ -132,7 +132,7 @@ def test_a_record_made_once_is_judged_on_every_fifth_target():
     x = recording.array("x")
     for _, train, test in folds:
         assert not set(x[train]) & set(x[test])
-    left = direct_family.judge(chain, recording, *folds[1][1:])
+    left = direct_family.validate_fold(chain, recording, *folds[1][1:])
     assert {r.component for r in left} == set(chain.of_axis("X"))
 
 
@@ -345,8 +345,8 @@ def test_an_axis_inclined_to_its_letter_is_not_measured_component_by_component()
     given = {"machine": 1, "name": "m", "chain": AXES["tool"], "axes": axes}
     chain = compile_chain(Machine.model_validate(given))
     with pytest.raises(DataError, match=r"EYY: Y runs along 0, 0.866, 0.5, inclined to Y"):
-        records.sense(chain, "EYY")
-    assert records.sense(chain, "EXX") == 1.0
+        records.component_sign(chain, "EYY")
+    assert records.component_sign(chain, "EXX") == 1.0
 
 
 @pytest.mark.parametrize("datum", [None, 90.0])

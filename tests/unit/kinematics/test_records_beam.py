@@ -86,7 +86,7 @@ def test_a_laser_zeroed_in_each_run_has_a_zero_per_run():
 
 def test_a_run_that_sits_out_is_judged_without_its_own_zero():
     """Zeros 20 um apart are no error of the curve: the left-out run stands at its noise, and before at the curve."""
-    from errpipe.models.direct import judge
+    from errpipe.models.direct import validate_fold
 
     chain, _, recording = played_x({}, cycles=3)
     run = recording.run_codes()
@@ -96,7 +96,7 @@ def test_a_run_that_sits_out_is_judged_without_its_own_zero():
 
     def judged(shown: Recording, zero_each_run: bool) -> tuple[float, float]:
         lasers = {"EXX": direct.Laser(zero_each_run=zero_each_run)}
-        (left,) = [x for x in judge(chain, shown, run != 1, run == 1, lasers=lasers) if x.component == "EXX"]
+        (left,) = [x for x in validate_fold(chain, shown, run != 1, run == 1, lasers=lasers) if x.component == "EXX"]
         return float(np.std(left.before)), float(np.sqrt(np.mean(left.after**2)))
 
     assert judged(moved, True) == pytest.approx(judged(recording, True), rel=0.2)

@@ -18,7 +18,7 @@ from errpipe.simulation import metrology
 def found():
     chain = ready("cmm")
     protocol, runs = played.cloud(chain)
-    recording = metrology.record(chain, metrology.smooth_machine(chain, 1), protocol, runs[:1], 1)
+    recording = metrology.simulate_runs(chain, metrology.smooth_machine(chain, 1), protocol, runs[:1], 1)
     test = protocols.observations(chain, recording)
     return chain, test, identify.identify(identify.Parametrisation.of(chain, modes=8), test)
 

@@ -126,13 +126,13 @@ def test_a_bad_first_reading_weighs_less_in_a_zero_of_more_rows() -> None:
 @pytest.mark.parametrize("family", [Season(component="E_Z"), Lagged(component="E_Z")], ids=["season", "lagged"])
 def test_folds_in_two_threads_are_judged_to_the_bit_as_one_by_one(family, monkeypatch) -> None:
     recording, threads, documents = machine(2, runs=2), set(), []
-    judge = type(family).judge
+    judge = type(family).validate_fold
 
     def noted(self, *args):
         threads.add(threading.current_thread().name)
         return judge(self, *args)
 
-    monkeypatch.setattr(type(family), "judge", noted)
+    monkeypatch.setattr(type(family), "validate_fold", noted)
     monkeypatch.setitem(side_by_side.side_by_side.__kwdefaults__, "worth", 0.0)
     for cores in (1, 2):
         monkeypatch.setattr(side_by_side.os, "cpu_count", lambda cores=cores: cores)
@@ -365,7 +365,7 @@ def test_deviations_sampled_less_often_than_temperatures_count_from_the_same_row
     left = []
     for recording in (whole, seldom):
         _, folds = model.folds(recording, None)
-        left.append(rms(np.concatenate([model.judge(recording, fold)["E_Z"].after for fold in folds])))
+        left.append(rms(np.concatenate([model.validate_fold(recording, fold)["E_Z"].after for fold in folds])))
     assert left[1] < 1.5 * left[0], left
 
 

@@ -22,7 +22,7 @@ def pushes(sign: float = 1.0) -> Recording:
     """A stiff test bar in a milling spindle, pushed with 0 to 400 N in three runs."""
     rng = np.random.default_rng(2)
     force = np.tile(np.linspace(0.0, 400.0, 9), 3)
-    bar = float(beam.compliance([beam.Stretch(80.0, diameter=32.0)], np.array([80.0]))[0])
+    bar = float(beam.compliance([beam.Section(80.0, diameter=32.0)], np.array([80.0]))[0])
     columns = {
         "run": Column(role="run"),
         "F": Column(role="force", unit="N"),
@@ -41,7 +41,7 @@ def milling(**more) -> Force:
 def test_a_slender_milling_tool_takes_the_place_of_the_bar_that_was_pushed(sign):
     recording = pushes(sign)
     fitted = milling(sign=sign).fit(recording)
-    tool = [beam.Stretch(60.0, diameter=32.0), beam.Stretch(70.0, diameter=12.0)]
+    tool = [beam.Section(60.0, diameter=32.0), beam.Section(70.0, diameter=12.0)]
     gives = STRUCTURE + float(beam.compliance(tool, np.array([130.0]))[0])
     said = evaluate(fitted.model, recording)["E_Y"]
     np.testing.assert_allclose(said, sign * recording.array("F") * gives, atol=0.3)
@@ -66,7 +66,7 @@ def gauged(sign: float = 1.0, bed: bool = False, drop: tuple[str, ...] = ()) -> 
     rng = np.random.default_rng(3)
     places = np.repeat([20.0, 70.0, 120.0, 170.0, 210.0], 11)
     force = np.tile(np.r_[0:501:100, 400:-1:-100].astype(float), 5)
-    shaft = beam.compliance([beam.Stretch(220.0, diameter=70.0)], places)
+    shaft = beam.compliance([beam.Section(220.0, diameter=70.0)], places)
     gives = {"tool_post": POST, "spindle": SPINDLE + TILT * (places * 1e-3) ** 2, "workpiece": CLAMP + shaft}
     if bed:
         gives["workpiece"] = gives["workpiece"] + gives["spindle"]
@@ -103,7 +103,7 @@ def test_gauges_at_three_places_give_each_its_compliance_and_the_table_their_sum
     np.testing.assert_allclose(value["curve"]["spindle_gauged_um_per_N"], spindle, atol=6e-4)
     said = evaluate(fitted.model, recording)["E_X"]
     z = recording.array("Z")
-    shaft = beam.compliance([beam.Stretch(220.0, diameter=70.0)], z)
+    shaft = beam.compliance([beam.Section(220.0, diameter=70.0)], z)
     true = recording.array("F") * (POST + SPINDLE + TILT * (z * 1e-3) ** 2 + CLAMP + shaft)
     np.testing.assert_allclose(said, sign * true, atol=0.3)
     assert said[5] * sign > 10  # 500 N
@@ -123,7 +123,7 @@ def test_gauges_that_sat_out_are_predicted_at_their_noise():
     recording = gauged()
     options = turning()
     _, folds = options.folds(recording, None)
-    left = [options.judge(recording, fold)["E_X"] for fold in folds]
+    left = [options.validate_fold(recording, fold)["E_X"] for fold in folds]
     assert len(left) > 2 and max(f.rms(f.after) for f in left) < 2 * 0.1 * np.sqrt(3) < 5 < left[0].rms(left[0].before)
 
 

@@ -53,7 +53,7 @@ def recording(size: float = 1.0, runs: int = 5, seed: int = 1, bent: float = 1.0
 
 def test_a_run_that_sat_out_is_left_with_little_more_than_its_noise():
     measured = recording()
-    judged = FAMILY.judge(measured, holdout.groups(measured, "auto")[0])
+    judged = FAMILY.validate_fold(measured, holdout.groups(measured, "auto")[0])
     for one in judged.values():
         assert np.sqrt(np.mean(one.after**2)) < 0.15 * np.sqrt(np.mean(one.before**2)) < 3.0
 
@@ -73,7 +73,7 @@ def test_the_nodes_of_the_table_are_the_network():
 def test_of_noise_alone_it_says_nothing():
     fitted = FAMILY.fit(recording(size=0.0))
     assert set(fitted.summary.values()) == {"nothing on held-out groups"}
-    judged = FAMILY.judge(recording(size=0.0), holdout.groups(recording(size=0.0), "auto")[0])
+    judged = FAMILY.validate_fold(recording(size=0.0), holdout.groups(recording(size=0.0), "auto")[0])
     assert all(np.array_equal(one.before, one.after) for one in judged.values())
 
 

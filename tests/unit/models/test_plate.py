@@ -29,7 +29,7 @@ def test_each_plate_is_predicted_by_the_one_before_it_and_the_first_by_the_last(
     x, y = recording.array("x")[:63], recording.array("y")[:63]
     deviation = recording.frame[["E_X", "E_Y"]].to_numpy().reshape(3, 63, 2)
     for fold in Plate().folds(recording, None)[1]:
-        judged = Plate().judge(recording, fold)
+        judged = Plate().validate_fold(recording, fold)
         held = int(recording.run_codes()[fold.test][0])
         rows = recording.run_codes() == (held - 1) % 3
         residual = deviation[held] - planar.fit_plate(recording, rows=rows).predict(x, y)
@@ -59,11 +59,11 @@ def test_a_map_of_noise_alone_is_not_exported(count: int, seeds: tuple[int, ...]
     gains = [
         component["gain"]
         for seed in seeds
-        for component in held_out.judged(plates(seed, count), Plate())[0]["components"]
+        for component in held_out.cross_validate(plates(seed, count), Plate())[0]["components"]
     ]
     assert max(gains) == 0.0
 
 
 def test_a_map_that_carries_over_is_exported() -> None:
-    document, _ = held_out.judged(plates(5, 3, machine=6.0), Plate())
+    document, _ = held_out.cross_validate(plates(5, 3, machine=6.0), Plate())
     assert [component["gain"] for component in document["components"]] == [1.0, 1.0]

@@ -18,7 +18,7 @@ MACHINE = Path(__file__).parents[3] / "examples" / "machines" / "vertical-centre
 def test_squareness_is_read_off_the_circle():
     chain = compile_chain(yamlfile.load(MACHINE, Machine))
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 100.0, 120.0)
-    recording = metrology.record(chain, {"C0Y": 40.0}, "ballbar_circle", runs, 1, noise=0.2, setup=5.0)
+    recording = metrology.simulate_runs(chain, {"C0Y": 40.0}, "ballbar_circle", runs, 1, noise=0.2, setup=5.0)
     pages = ballbar_pages(recording)
     assert len(pages) == 3
     _, figure, caption = next(p for p in pages if p[0].endswith("XY"))
@@ -32,7 +32,7 @@ def test_where_the_bar_stood_is_not_drawn():
     """A socket half a millimetre off the circle's centre: F about the circle's own centre stays small."""
     chain = compile_chain(yamlfile.load(MACHINE, Machine))
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 100.0, 120.0)
-    recording = metrology.record(chain, {}, "ballbar_circle", runs, 1, noise=0.2, setup=500.0)
+    recording = metrology.simulate_runs(chain, {}, "ballbar_circle", runs, 1, noise=0.2, setup=500.0)
     for test in iso230_4.circles(recording):
         assert np.ptp(test.deviation) > 100 and np.ptp(iso230_4.centred(test)) < 6.0
 
@@ -41,7 +41,7 @@ def test_a_servo_mismatch_is_reported():
     """One axis 1 um behind the other: the oval turns with the sense."""
     chain = compile_chain(yamlfile.load(MACHINE, Machine))
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 100.0, 120.0)
-    recording = metrology.record(chain, {}, "ballbar_circle", runs, 1, noise=0.2, setup=5.0)
+    recording = metrology.simulate_runs(chain, {}, "ballbar_circle", runs, 1, noise=0.2, setup=5.0)
     sense = np.where(np.char.endswith(recording.frame["run"].to_numpy(str), " ccw"), 1.0, -1.0)
     angle = np.arctan2(recording.array("y"), recording.array("x"))
     xy = np.char.startswith(recording.frame["run"].to_numpy(str), "XY")

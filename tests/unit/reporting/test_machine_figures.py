@@ -34,10 +34,10 @@ def words(svg: str) -> set[str]:
 @pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
 def test_a_sketch_names_every_link(path):
     chain = ready(path.stem)
-    svg = machine_figures.sketch(chain)
+    svg = machine_figures.machine_sketch(chain)
     marks = {n for n in chain.machine.chain if n not in ("workpiece", "bed", "tool")}
     assert marks | {"bed", "tool", "work"} <= words(svg)
-    assert svg == machine_figures.sketch(chain)
+    assert svg == machine_figures.machine_sketch(chain)
     assert len(svg) < 40_000
 
 

@@ -25,7 +25,7 @@ def test_a_uniformly_warm_screw_grows_by_alpha_l_dt():
 
 def test_an_axis_at_rest_in_a_steady_room_stays_as_it_is():
     still = np.zeros(500)
-    warm = heat.conduct(heat.Screw(), still, still, still + 10.0, np.full(500, 20.0), 20.0)
+    warm = heat.simulate_temperatures(heat.Screw(), still, still, still + 10.0, np.full(500, 20.0), 20.0)
     assert_allclose(warm.screw, 20.0, atol=1e-12)
     assert_allclose(warm.nut, 20.0, atol=1e-12)
 
@@ -33,7 +33,7 @@ def test_an_axis_at_rest_in_a_steady_room_stays_as_it_is():
 def test_heat_stays_where_the_nut_runs():
     steps = 900
     low, high = np.full(steps, 100.0), np.full(steps, 250.0)
-    warm = heat.conduct(heat.Screw(), np.full(steps, 200.0), low, high, np.full(steps, 20.0), 20.0)
+    warm = heat.simulate_temperatures(heat.Screw(), np.full(steps, 200.0), low, high, np.full(steps, 20.0), 20.0)
     rise = warm.screw[-1] - 20.0
     middle = (np.arange(heat.PIECES) + 0.5) * 900.0 / heat.PIECES
     assert rise[(middle > 100) & (middle < 250)].min() > 4 * rise[middle > 600].max()
@@ -44,7 +44,7 @@ def test_a_piece_cools_by_its_own_time_constant():
     screw = heat.Screw(conductivity=0.0)
     still = np.zeros(1800)
     air = np.full(1800, 20.0)
-    warm = heat.conduct(screw, still, still + 860.0, still + 860.0, air, 30.0)
+    warm = heat.simulate_temperatures(screw, still, still + 860.0, still + 860.0, air, 30.0)
     tau = screw.heat_capacity * screw.diameter * 1e-3 / (4 * screw.still_air)
     assert_allclose(warm.screw[:, 10] - 20.0, 10.0 * np.exp(-warm.time / tau), rtol=2e-3)
 

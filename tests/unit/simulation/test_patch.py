@@ -14,13 +14,13 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import TransferFunction, lsim
 
 from errpipe.domain.recording import Manifest, Recording
-from errpipe.drivers.simulated import Late, Ringing, between
+from errpipe.drivers.simulated import DelayDifference, Ringing, between
 from errpipe.simulation import external, patch, patch_fmu
 
 STEP, HERTZ, DAMPING, DELAY = 0.002, 23.0, 0.05, 0.0331
 W = 2 * np.pi * HERTZ
 RINGS = patch.Piece("EXX_mode", "EXX", "um", "rings", (Ringing("a", HERTZ, DAMPING, -2.5),))
-LATE = patch.Piece("EYX_late", "EYX", "um", "late", (Late(DELAY, axis="X", gain=0.9),))
+LATE = patch.Piece("EYX_late", "EYX", "um", "late", (DelayDifference(DELAY, axis="X", gain=0.9),))
 
 
 def recording(runs: int = 1) -> Recording:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from errpipe import jsonfile
-from errpipe.domain.driver import First, Input, Lag, remembers, rise
+from errpipe.domain.driver import First, Input, Lag, has_memory, rise
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.fitting.model import ModelSpec, fit
@@ -87,7 +87,7 @@ def test_a_part_that_forgot_its_run_would_be_seen(model, recording):
 
 def test_an_interval_that_remembers_takes_whole_runs_only(model, recording):
     late = Lag(of=Input(name="T_room"), tau_up=60.0, tau_down=60.0)
-    assert remembers(late) and remembers(rise("T_room")) and remembers(First(of=Input(name="T_room")))
+    assert has_memory(late) and has_memory(rise("T_room")) and has_memory(First(of=Input(name="T_room")))
     (component,) = model.components
     slow = component.model_copy(update={"factor90": late.model_dump(mode="json")})
     source = stage._of_model(model.model_copy(update={"components": (slow,)}))

@@ -160,7 +160,7 @@ def test_in_the_cycle_a_reading_of_10_um_too_long_moves_x_back_by_10_um():
         got.append(cycle.cycle(fed))
     correction = np.array([c.correction["E_X"] for c in got])
     assert_allclose(correction[[49, 90, 199]], [0.0, -0.010, 0.0], atol=1e-9)
-    assert all("fading" not in c.says() and "defaulted" not in c.says() for c in got)
+    assert all("fading" not in c.status_names() and "defaulted" not in c.status_names() for c in got)
 
 
 def test_the_name_of_the_input_stands_in_the_model_and_the_model_without_readings_is_as_before():

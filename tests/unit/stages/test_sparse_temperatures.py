@@ -48,7 +48,7 @@ def test_a_held_out_run_by_the_table_has_the_judged_residual(kind, sensors, read
     recording = sparse(3, sensors)
     family = kind.model_validate({"family": kind.family_name(), "component": "E_Z"})
     fold = family.folds(recording, "leave-one-run-out")[1][0]
-    judged = family.judge(recording, fold)["E_Z"]
+    judged = family.validate_fold(recording, fold)["E_Z"]
     learnt_from, left_out = recording.take(fold.train), read(recording.take(fold.test))
     table = compile_model(family.fit(learnt_from).model, CompileOptions(), recording=learnt_from)
     residual = since_start(left_out.array("E_Z"), left_out.run_codes(), 3)[0] - by_table(table, left_out)
@@ -63,7 +63,7 @@ def test_terms_are_judged_on_the_rows_between_two_readings_too():
     recording = sparse(1)
     model, (fold, *_) = family.fit(recording).model, family.folds(recording, "leave-one-run-out")[1]
     table = compile_model(model, CompileOptions(), recording=recording)
-    assert family.judge(recording, fold)["E_Z"].rows.size == fold.test.sum()
+    assert family.validate_fold(recording, fold)["E_Z"].rows.size == fold.test.sum()
     columns = {i.name: recording.array(i.name) for i in table.inputs}
     output = batch.evaluate(by_component(table), columns, recording.time(), recording.run_codes()).deviation["E_Z"]
     left = recording.array("E_Z") - output
@@ -89,18 +89,18 @@ def test_the_exported_table_is_the_model_on_its_own_recording(guard, tmp_path, c
 
 
 def test_a_table_whose_guards_take_away_what_the_model_gains_is_refused():
-    from errpipe.validation.gate import Passed
+    from errpipe.validation.gate import GatedModel
 
     proof = {"component": "E_Z", "unit": "um", "rows": 100, "largest_difference_um": 19.8, "rms_difference_um": 6.0}
     proof |= {"rms_model_um": 12.0, "bound_um": 0.01, "unguarded_difference_um": 0.01, "rows_held_back": 7}
     judged = {"component": "E_Z", "rms_before": 15.0, "rms_at_gain": 2.0}
-    (said,) = _proof.remarks([proof], Passed(None, (), (judged,)))
+    (said,) = _proof.remarks([proof], GatedModel(None, (), (judged,)))
     assert "7 of 100 rows" in said and "up to 19.8" in said and "max_rate" in said
     with pytest.raises(GateError, match="gains 5"):
-        _proof.remarks([proof], Passed(None, (), (judged | {"rms_at_gain": 10.0},)))
+        _proof.remarks([proof], GatedModel(None, (), (judged | {"rms_at_gain": 10.0},)))
     with pytest.raises(GateError, match="gains 5"):  # by whatever it differs
-        _proof.remarks([proof | {"rows_held_back": 0}], Passed(None, (), (judged | {"rms_at_gain": 10.0},)))
-    assert _proof.remarks([proof | {"rows_held_back": 0}], Passed(None, (), (judged,))) == []
+        _proof.remarks([proof | {"rows_held_back": 0}], GatedModel(None, (), (judged | {"rms_at_gain": 10.0},)))
+    assert _proof.remarks([proof | {"rows_held_back": 0}], GatedModel(None, (), (judged,))) == []
 
 
 def of_terms(recording: Recording):
@@ -124,30 +124,30 @@ def test_a_step_that_a_table_of_terms_does_not_believe_is_reported():
 
 def test_a_table_of_another_model_fails_the_run():
     """Every row of the table 1 % more than its model says."""
-    from errpipe.validation.gate import Passed
+    from errpipe.validation.gate import GatedModel
 
     recording, _ = spindle_drift.simulate(2, days=DAYS)
     model, table = of_terms(recording)
     (component,) = model.components
     more = model.model_copy(update={"components": (component.model_copy(update={"gain": 1.01}),)})
-    assert _proof.remarks(_proof.compare(table, model, recording), Passed(None, (), ())) == []
+    assert _proof.remarks(_proof.compare(table, model, recording), GatedModel(None, (), ())) == []
     with pytest.raises(VerifyError, match=r"differs from its model by .* its bound"):
-        _proof.remarks(_proof.compare(table, more, recording), Passed(None, (), ()))
+        _proof.remarks(_proof.compare(table, more, recording), GatedModel(None, (), ()))
 
 
 def test_a_table_that_gives_no_number_where_its_model_does_is_no_proof(monkeypatch):
-    from errpipe.validation.gate import Passed
+    from errpipe.validation.gate import GatedModel
 
     recording, _ = spindle_drift.simulate(2, days=DAYS)
     model, table = of_terms(recording)
     monkeypatch.setattr(_proof, "table_values", lambda *_: {"E_Z": np.full(len(recording), np.nan)})
     with pytest.raises(VerifyError, match="differs from its model by inf"):
-        _proof.remarks(_proof.compare(table, model, recording), Passed(None, (), ()))
+        _proof.remarks(_proof.compare(table, model, recording), GatedModel(None, (), ()))
 
 
 def test_an_hour_without_one_of_two_sensors_of_a_lag_is_no_error_of_the_table():
     """The model holds the lagged sum, the table the one reading: they differ until the lag has settled."""
-    from errpipe.validation.gate import Passed
+    from errpipe.validation.gate import GatedModel
 
     recording, _ = spindle_drift.simulate(3, days=DAYS)
     silent = recording.array("T_rear").copy()
@@ -157,7 +157,7 @@ def test_an_hour_without_one_of_two_sensors_of_a_lag_is_no_error_of_the_table():
     model = family.fit(recording).model
     proof = _proof.compare(compile_model(model, CompileOptions(), recording=recording), model, recording)
     assert proof[0]["unguarded_difference_um"] < 1e-6
-    assert _proof.remarks(proof, Passed(None, (), ())) is not None
+    assert _proof.remarks(proof, GatedModel(None, (), ())) is not None
 
 
 def test_a_switched_coolant_logged_in_other_rows_than_the_temperatures_is_no_error_of_the_table():

@@ -13,7 +13,7 @@ from errpipe.kinematics.chain import compile_chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.simulation import metrology
 from errpipe.stages import _artefacts
-from errpipe.stages.export_volumetric import bound, compile_machine, largest_difference, prove
+from errpipe.stages.export_volumetric import bound, compile_machine, largest_difference, verify_bound
 from errpipe.tables import ect
 
 READY = sorted((Path(__file__).parents[3] / "examples" / "machines").glob("*.yaml"))
@@ -27,7 +27,7 @@ def test_every_ready_machine_is_proved_within_its_bound(path):
     table = compile_machine(chain, errors, "0" * 64, "", 0.01, REVERSAL, chain.machine.linear_axes())
     worst, allowed = largest_difference(chain, errors, table, REVERSAL), bound(chain, table)
     assert 0 < worst <= allowed + 2e-3 and allowed < 1.0
-    prove(worst, allowed)
+    verify_bound(worst, allowed)
 
 
 def test_a_table_with_one_wrong_weight_fails_the_run():
@@ -40,7 +40,7 @@ def test_a_table_with_one_wrong_weight_fails_the_run():
     outputs[0] = outputs[0].model_copy(update={"terms": tuple(terms)})
     wrong = table.model_copy(update={"outputs": tuple(outputs)})
     with pytest.raises(VerifyError, match="Nothing was exported"):
-        prove(largest_difference(chain, errors, wrong), bound(chain, wrong))
+        verify_bound(largest_difference(chain, errors, wrong), bound(chain, wrong))
 
 
 def test_a_table_whose_file_says_something_else_is_not_exported(tmp_path, monkeypatch):

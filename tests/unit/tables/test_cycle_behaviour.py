@@ -31,7 +31,7 @@ def test_reading_out_of_range_is_held_then_default_after_its_time():
     assert z(e, T=25.0) == 10.0
     assert [z(e, T=200.0) for _ in range(4)] == [10.0, 10.0, 0.0, 0.0]
     last = e.cycle({"T": -50.0})
-    assert last.faults["T"] == "range" and last.sources["T"] == "default" and "defaulted" in last.says()
+    assert last.faults["T"] == "range" and last.sources["T"] == "default" and "defaulted" in last.status_names()
     assert z(e, T=26.0) == 12.0
 
 
@@ -57,7 +57,7 @@ def test_a_lost_sensor_is_replaced_by_the_weighted_others():
     e = thermal(sensor("T", substitute=parts, substitute_offset=1.0), (sensor("A"), sensor("B")))
     assert z(e, T=30.0, A=24.0, B=28.0) == 20.0
     cycle = e.cycle({"T": np.nan, "A": 24.0, "B": 28.0})
-    assert cycle.deviation["E_Z"] == 14.0 and "substituted" in cycle.says()
+    assert cycle.deviation["E_Z"] == 14.0 and "substituted" in cycle.status_names()
     cycle = e.cycle({"T": np.nan, "A": np.nan, "B": 28.0})
     assert cycle.deviation["E_Z"] == 20.0 and cycle.sources["T"] == "held"
 
@@ -72,7 +72,7 @@ def test_outside_validity_it_fades_over_the_margin_and_never_jumps():
     e = thermal(sensor("T", valid=(15.0, 40.0), margin=10.0))
     seen = [z(e, T=T) for T in (40.0, 42.5, 45.0, 50.0, 60.0, 45.0)]
     assert seen == [40.0, 40.0 * 0.75, 40.0 * 0.5, 0.0, 0.0, 20.0]  # its driver stays within validity too
-    assert e.cycle({"T": 60.0}).says()[-2:] == ("fading", "faded")
+    assert e.cycle({"T": 60.0}).status_names()[-2:] == ("fading", "faded")
 
 
 def test_a_fade_takes_its_time():
@@ -90,7 +90,7 @@ def test_when_only_the_default_is_left_the_thermal_part_fades_and_the_geometric_
     assert e.cycle({"x": 1000.0, "T": 30.0}, dt=0.0).deviation["EXX"] == pytest.approx(40.0)
     cycle = e.cycle({"x": 1000.0, "T": np.nan}, dt=0.0)
     assert cycle.deviation["EXX"] == pytest.approx(10.0)
-    assert "defaulted" in cycle.says() and "faded" in cycle.says()
+    assert "defaulted" in cycle.status_names() and "faded" in cycle.status_names()
 
 
 def test_references_and_lags_wait_for_the_first_believed_reading():
@@ -99,9 +99,9 @@ def test_references_and_lags_wait_for_the_first_believed_reading():
     e = Evaluator(table)
     for _ in range(5):
         cycle = e.cycle({"T": np.nan}, dt=1.0)
-        assert "waiting" in cycle.says() and cycle.deviation["E_Z"] == 0.0
+        assert "waiting" in cycle.status_names() and cycle.deviation["E_Z"] == 0.0
     cycle = e.cycle({"T": 35.0}, dt=1.0)
-    assert "waiting" not in cycle.says() and cycle.deviation["E_Z"] == 0.0
+    assert "waiting" not in cycle.status_names() and cycle.deviation["E_Z"] == 0.0
     assert e.cycle({"T": 36.0}, dt=1.0).deviation["E_Z"] == 1.0
 
 
@@ -119,7 +119,7 @@ def test_a_known_direction_goes_before_travel():
     assert e.cycle({"x": 5.0, "dir": -1.0}).deviation["EXX"] == -1
     assert e.cycle({"x": 6.0, "dir": -1.0}).deviation["EXX"] == -1
     cycle = e.cycle({"x": 7.0, "dir": np.nan})
-    assert cycle.deviation["EXX"] == 1 and cycle.says() == ("running", "active")
+    assert cycle.deviation["EXX"] == 1 and cycle.status_names() == ("running", "active")
 
 
 def test_pre_sliding_builds_up_over_travel():
@@ -146,7 +146,10 @@ def test_magnitude_and_slew():
     e = limited(magnitude=30.0, slew=50.0)
     corrections = [e.cycle({"T": 60.0}) for _ in range(8)]
     assert [c.correction["E_Z"] for c in corrections] == pytest.approx([-0.001 * min(30, 5 * k) for k in range(1, 9)])
-    assert corrections[0].says()[-2:] == ("at_magnitude", "at_rate") and corrections[-1].says()[-1] == "at_magnitude"
+    assert (
+        corrections[0].status_names()[-2:] == ("at_magnitude", "at_rate")
+        and corrections[-1].status_names()[-1] == "at_magnitude"
+    )
 
 
 @pytest.mark.parametrize("slew", [None, 80.0])
@@ -177,7 +180,7 @@ def test_limits_are_transparent_for_motion_within_them():
     for k in range(300):
         cycle = e.cycle({"T": 40.0 + 15.0 * np.sin(k / 20)})
         assert cycle.correction["E_Z"] == -cycle.deviation["E_Z"] * 0.001
-        assert "at_rate" not in cycle.says()
+        assert "at_rate" not in cycle.status_names()
 
 
 def test_heartbeat_counts_and_reset_starts_anew():

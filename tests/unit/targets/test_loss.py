@@ -53,7 +53,7 @@ def search(table, read, axis, seed):
     """The largest difference, um, that random states and a search around the worst of them find."""
     rng = np.random.default_rng(seed)
     states, side = _loss._states(table, rng)
-    names, start = _sample.positions_of(table), _sample.middle(table)
+    names, start = _sample.positions_of(table), _sample.reference_readings(table)
     ends = {names[a]: e for a, e in _loss.travel(table).items()}
     ends |= {i.name: i.valid for i in table.inputs if i.valid is not None and i.name not in ends}
 
@@ -110,7 +110,7 @@ def test_a_narrow_peak_that_random_states_miss_is_in_the_bound():
 def test_every_node_of_a_random_table_is_within_its_expansion(seed):
     """Bounds of nodes and profiles against the evaluator, on tables of every operation."""
     table = everything(seed)
-    names, start = _sample.positions_of(table), _sample.middle(table)
+    names, start = _sample.positions_of(table), _sample.reference_readings(table)
     ends = {a: e for a, e in _loss.travel(table).items() if e[0] < e[1]}
     if len(names) < sum(i.kind == "position" for i in table.inputs) or set(ends) != set(names):
         return  # two inputs of one axis, or no way to go: no machine has that

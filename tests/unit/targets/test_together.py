@@ -65,10 +65,10 @@ def test_the_screw_is_not_compensated_twice():
 
 
 def test_only_files_of_one_controller_are_added_up():
-    for parts in stage.together(TARGETS):
+    for parts in stage.target_combinations(TARGETS):
         assert len({p.name.split("_")[0] for p in parts}) == 1
-    assert tuple(BY_NAME[n] for n in SINUMERIK) in stage.together(TARGETS)
-    assert tuple(BY_NAME[n] for n in BECKHOFF) in stage.together(TARGETS)
+    assert tuple(BY_NAME[n] for n in SINUMERIK) in stage.target_combinations(TARGETS)
+    assert tuple(BY_NAME[n] for n in BECKHOFF) in stage.target_combinations(TARGETS)
 
 
 def test_names_of_companions_exist():

@@ -15,7 +15,7 @@ from scipy.signal import TransferFunction, lsim
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kernels import responses
 from errpipe.terms import Signals
-from errpipe.terms._lines import combs, lines, periods
+from errpipe.terms._lines import harmonic_series, lines, periods
 from errpipe.terms._place import drive_periods, pole_periods
 from errpipe.terms._search import Waves
 from errpipe.terms.clock_offset import ClockOffset
@@ -208,14 +208,14 @@ def test_lines_and_what_they_are_orders_of():
     spectral_lines = lines(x, y + 1.5 * rng.normal(size=x.size) + 1e-4 * x**2)
     assert_allclose(sorted(1 / f for f, _ in spectral_lines), [4.0, 24.0, 55.5], rtol=1e-3)
     assert_allclose([a for _, a in spectral_lines], [6, 4, 3], rtol=0.1)
-    (base, orders, known), (_, every, _) = combs(spectral_lines, 700.0)
+    (base, orders, known), (_, every, _) = harmonic_series(spectral_lines, 700.0)
     assert orders == (1, 6) and not known and 1 / base == pytest.approx(24.0, rel=1e-4)
     assert every == (1, pytest.approx(24 / 55.5, rel=1e-3), 6)
 
 
 def test_a_screw_and_a_coupling():
     """Two waves that are no multiples of each other are still one finding, as multiples of the stronger one."""
-    ((base, orders, _),) = combs([(1 / 10, 4.0), (1 / 3.7, 3.0)], 400.0)
+    ((base, orders, _),) = harmonic_series([(1 / 10, 4.0), (1 / 3.7, 3.0)], 400.0)
     assert 1 / base == pytest.approx(10.0) and orders == (1.0, 2.7027)
 
 
@@ -227,14 +227,14 @@ def test_noise_has_no_lines():
 
 def test_the_base_may_be_absent():
     """Orders 2 and 3 of a pole pair without the first."""
-    ((base, orders, _),) = combs([(2 / 30, 5.0), (3 / 30, 4.0)], 600.0)
+    ((base, orders, _),) = harmonic_series([(2 / 30, 5.0), (3 / 30, 4.0)], 600.0)
     assert 1 / base == pytest.approx(30.0) and orders == (2, 3)
 
 
 def test_orders_of_one_turn_of_a_motor():
     """7 pole pairs and 12 slots over a single turn: all are orders of the turn."""
     out = [(7.01 / 360, 2.5), (27.98 / 360, 1.3), (12.02 / 360, 0.6), (36.0 / 360, 0.7)]
-    *_, (base, orders, known) = combs(out, 360.0, [1 / 360])
+    *_, (base, orders, known) = harmonic_series(out, 360.0, [1 / 360])
     assert 1 / base == 360.0 and orders == (7, 28, 36, 12) and known
 
 

@@ -176,5 +176,5 @@ def test_the_page_in_the_paper(case):
 
 
 def test_a_sentence_for_people(case):
-    said = case.term.says(case.parameters)
+    said = case.term.sentence(case.parameters)
     assert said and "nan" not in said and "{" not in said

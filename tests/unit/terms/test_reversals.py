@@ -7,7 +7,7 @@ import pytest
 from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.evaluation import drive
-from errpipe.drivers.motion import direction, moving, unbroken
+from errpipe.drivers.motion import direction, motion_sessions, moving
 from errpipe.kernels import responses
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.coulomb_friction import CoulombFriction
@@ -95,7 +95,7 @@ def in_runs(positions: list[np.ndarray]) -> Recording:
 def test_a_run_that_begins_under_way_comes_from_the_side_it_leaves():
     there = np.linspace(0.0, 1.0, 500)
     recording = in_runs([there, there[::-1]])  # a circle each way: the second begins where the first one ends
-    assert unbroken(recording)[-1] > unbroken(recording)[0]
+    assert motion_sessions(recording)[-1] > motion_sessions(recording)[0]
     z = drive(Approach(axis="X", length=0.2), recording)
     assert np.array_equal(z, np.repeat([1.0, -1.0], 500))
 
@@ -103,7 +103,7 @@ def test_a_run_that_begins_under_way_comes_from_the_side_it_leaves():
 def test_a_run_that_begins_at_rest_goes_on():
     there = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 500))
     recording = in_runs([there, there[::-1]])
-    assert np.ptp(unbroken(recording)) == 0
+    assert np.ptp(motion_sessions(recording)) == 0
     z = drive(Approach(axis="X", length=0.2), recording)
     assert z[500] > 0.99 and z[-1] < -0.95
 

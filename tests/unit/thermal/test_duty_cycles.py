@@ -50,12 +50,12 @@ def test_the_cycle_that_was_never_measured_teaches_most_and_then_nothing_does():
     recording = days("hhhht")
     cycles = DutyCycles.of(without_errors(recording, "t"), "E_Z")
     assert cycles.measured == [0, 1, 2, 3]
-    known = cycles.learn(cycles.measured)
+    known = cycles.fit(cycles.measured)
     before, head, table = cycles.expected(known), cycles.expected(known, [0]), cycles.expected(known, [4])
     assert table < 0.4 * before
     assert head > 0.9 * before
     whole = DutyCycles.of(days("hhtthhtthhtt" * 2), "E_Z")
-    known = whole.learn(whole.measured)
+    known = whole.fit(whole.measured)
     assert whole.expected(known) ** 2 - whole.expected(known, [2]) ** 2 < NOISE**2
 
 
@@ -63,7 +63,7 @@ def test_what_is_expected_does_not_depend_on_the_deviation_of_the_candidate():
     recording = days("hhtb")
     measured = DutyCycles.of(recording, "E_Z")
     logged = DutyCycles.of(without_errors(recording, "t"), "E_Z")
-    known = measured.learn([0, 1])
+    known = measured.fit([0, 1])
     assert logged.information_of(2, known) == pytest.approx(measured.information_of(2, known))
 
 
@@ -72,7 +72,7 @@ def test_the_expected_error_is_the_one_that_comes():
     promised, came = [], []
     for seed in range(12):
         cycles = DutyCycles.of(days("htb" * 8, seed), "E_Z")
-        known = cycles.learn(range(8))
+        known = cycles.fit(range(8))
         promised.append(cycles.expected(known) ** 2 + cycles.irreducible(known) ** 2)
         came.append(np.mean([cycles.left(r, known.mean) ** 2 for r in range(8, 24)]))
     assert np.sqrt(np.mean(came) / np.mean(promised)) == pytest.approx(1.0, abs=0.2)
@@ -80,7 +80,7 @@ def test_the_expected_error_is_the_one_that_comes():
 
 def test_scales_come_from_the_readings():
     cycles = DutyCycles.of(days("htb" * 8), "E_Z")
-    known = cycles.learn(cycles.measured)
+    known = cycles.fit(cycles.measured)
     assert known.noise == pytest.approx(NOISE, rel=0.2)
     assert known.own == pytest.approx(OWN * 2.5, rel=0.6)  # per kelvin, of rises of about 2.5 K rms
 

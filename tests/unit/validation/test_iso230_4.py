@@ -140,7 +140,7 @@ def test_a_simulated_machine_is_read_with_the_signs_of_its_components():
     chain = compile_chain(yamlfile.load(path, Machine))
     values = {"C0Y": 20.0, "B0Z": -15.0, "A0Z": 10.0, "EXX": lambda p: 0.03 * np.asarray(p)}
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 200.0, 100.0, 180)
-    recording = metrology.record(chain, values, "ballbar_circle", runs, 1, noise=0.1)
+    recording = metrology.simulate_runs(chain, values, "ballbar_circle", runs, 1, noise=0.1)
     by_name = {(e.effect, e.where): e.value for t in iso230_4.evaluate(recording) for e in t.effects}
     for name in ("C0Y", "B0Z", "A0Z"):
         assert_allclose(by_name["squareness", name], values[name], atol=0.5)

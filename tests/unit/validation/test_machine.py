@@ -30,7 +30,7 @@ def measured(protocol, seed=2):
     chain = compile_chain(MACHINE)
     values = metrology.smooth_machine(chain, seed)
     runs = measuring_runs.cloud(chain, 50) if protocol == "point_cloud" else measuring_runs.PROTOCOLS[protocol](chain)
-    return chain, metrology.record(chain, values, protocol, runs, seed)
+    return chain, metrology.simulate_runs(chain, values, protocol, runs, seed)
 
 
 def identified(chain, recording):
@@ -43,7 +43,7 @@ def identified(chain, recording):
 def cloud():
     chain, recording = measured("point_cloud")
     document = identified(chain, recording)
-    return document, gate.judged(MACHINE, document, {"test": recording})
+    return document, gate.cross_validate(MACHINE, document, {"test": recording})
 
 
 def test_both_senses_of_a_circle_sit_out_together():
@@ -66,7 +66,7 @@ def test_a_part_passes_whole_or_in_part(seed, passes):
     """A machine of which all components are corrected, and two of which some are in part: all truly better."""
     chain, recording = measured("part", seed)
     document = identified(chain, recording)
-    judged = gate.judged(MACHINE, document, {"test": recording})
+    judged = gate.cross_validate(MACHINE, document, {"test": recording})
     assert len(judged["test"]["groups"]) == held_out.FEATURE_GROUPS
     assert gate.pass_gate(document, [judged]) == ("X", "Y", "Z")
     truth = MachineErrors.of(chain, metrology.smooth_machine(chain, seed), 401)
@@ -154,7 +154,7 @@ def test_readings_that_contradict_the_rest_are_worse_where_they_sit_out():
     wrong = replace(obs, value=np.where(second, -obs.value, obs.value))
     model = identify.Parametrisation.of(chain)
     for readings_now, better in ((obs, True), (wrong, False)):
-        left = held_out.judge(model, readings_now, second.astype(int), ("0", "1"))[1]
+        left = held_out.cross_validate(model, readings_now, second.astype(int), ("0", "1"))[1]
         assert (np.std(left.after) < np.std(left.before)) == better
 
 

@@ -14,12 +14,12 @@ from errpipe.validation.input_drift import drifting_sensors, other_unit, sensor_
 from errpipe.validation.retraining import (
     Gate,
     RunScore,
-    among,
     decide,
     e_value,
     reused_names,
     run_contents,
     run_keys,
+    runs_among,
     score_new_runs,
 )
 from errpipe.verbs import _retrain_gates
@@ -94,12 +94,12 @@ def test_a_run_that_arrives_twice_is_scored_once_whatever_it_is_called() -> None
     kinds |= {"EXX": Column(role="error", component="EXX", unit="um")}
     recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=kinds), pd.concat(parts, ignore_index=True))
     names, contents = run_keys(recording), run_contents(recording)
-    known = among(recording, names[:3], contents[:3])
+    known = runs_among(recording, names[:3], contents[:3])
     champion = {"EXX": np.zeros(len(recording))}
     scores = score_new_runs(recording, Mean(), champion, known, frozenset())
     assert [s.run for s in scores] == ["day 3", "day 4", "day 5"]
     assert {s.content for s in scores} == set(contents[3:6])
-    earlier = among(recording, (s.key for s in scores), (s.content for s in scores))
+    earlier = runs_among(recording, (s.key for s in scores), (s.content for s in scores))
     assert score_new_runs(recording, Mean(), champion, known, earlier) == []
 
 
@@ -112,7 +112,7 @@ def test_runs_under_new_names_are_those_that_they_were() -> None:
     frame = pd.DataFrame({"run": np.repeat(list("abcd"), 10), "t": np.arange(40.0), "EXX": 5.0 + rng.normal(size=40)})
     before = Recording(manifest, frame.head(30))
     after = Recording(manifest, frame.assign(run="day " + frame["run"], t=frame["t"] - 3600.0))
-    known = among(after, run_keys(before), run_contents(before))
+    known = runs_among(after, run_keys(before), run_contents(before))
     (only,) = score_new_runs(after, Mean(), {"EXX": np.zeros(40)}, known, frozenset())
     assert only.run == "day d" and only.challenger < 3.0
 

@@ -130,7 +130,7 @@ def test_one_season_is_judged_by_its_runs(recording):
     manifest = recording.manifest.model_copy(update={"columns": columns})
     one = Recording(manifest, recording.frame.drop(columns="season"))
     family = Season(family="season", component="E_D")
-    document, _ = held_out.judged(one, family)
+    document, _ = held_out.cross_validate(one, family)
     assert document["scheme"] == "leave-one-run-out" and "seasons" not in document
     with pytest.raises(DataError, match="no group 'hall'"):  # one that a person names is not replaced
         family.model_copy(update={"options": SeasonOptions(environment="hall")}).folds(one, None)

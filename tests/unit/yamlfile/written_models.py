@@ -8,7 +8,7 @@ import pytest
 from pydantic import Field, model_validator
 
 from errpipe.errors import ConfigError
-from errpipe.yamlfile import Misplaced, Options, parse
+from errpipe.yamlfile import InvalidKey, Options, parse
 
 
 class Line(Options):
@@ -24,7 +24,7 @@ class Step(Options):
     @model_validator(mode="after")
     def _sides_differ(self) -> Step:
         if self.sides[0] == self.sides[1]:
-            raise Misplaced(("sides", 1), "equals the first side")
+            raise InvalidKey(("sides", 1), "equals the first side")
         return self
 
 
