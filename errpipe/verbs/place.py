@@ -146,8 +146,8 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, limit: int) 
             for n, row in zip(names, degrees.tolist(), strict=True)
         ],
     }
-    lines = [f"rms on duty cycles left out; doing nothing {nothing:.4g}"]
-    lines += [f"{len(s.places)} sensors: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})" for s in sets]
+    lines = [f"rms on held-out duty cycles, in the unit of the error; uncompensated {nothing:.4g}"]
+    lines += [f"{len(s.places)} sensor{'s' * (len(s.places) > 1)}: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})" for s in sets]
     for j, what in enumerate(("line", "parabola", "cubic")):
         k = int(np.argmin(degrees[:, j]))
         lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
@@ -166,7 +166,7 @@ def _undecided(best: Chosen, nothing: float, cycles: int) -> str:
         if not best.groups[worst] > OUTLIER_RATIO * others:
             return "no sensor is better than doing nothing"
         return (
-            f"no sensor is better than doing nothing: duty cycle {worst} alone is missed by {best.groups[worst]:.4g}, "
+            f"no sensor is better than no compensation: duty cycle {worst} alone is missed by {best.groups[worst]:.4g}, "
             f"the others by {others:.4g}; does a sensor jump there?"
         )
     return (
