@@ -90,7 +90,7 @@ class VerifyError(ErrpipeError):
 
 # Words of the field -> the word of a recording's columns that means it.
 SYNONYMS = {"deviation": "error", "reading": "actual", "target": "command", "dir": "direction", "temp": "temperature"}
-SYNONYMS |= {"siemens": "sinumerik", "twincat": "beckhoff"}  # maker or product -> beginning of the formats' names
+SYNONYMS |= {"siemens": "sinumerik"}  # a maker -> how the names of its formats begin
 MAX_SUGGESTED = 5  # names with the same beginning; beckhoff has four (by judgement)
 
 

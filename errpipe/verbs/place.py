@@ -147,7 +147,10 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, limit: int) 
         ],
     }
     lines = [f"rms on held-out duty cycles, in the unit of the error; uncompensated {nothing:.4g}"]
-    lines += [f"{len(s.places)} sensor{'s' * (len(s.places) > 1)}: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})" for s in sets]
+    lines += [
+        f"{len(s.places)} sensor{'s' * (len(s.places) > 1)}: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})"
+        for s in sets
+    ]
     for j, what in enumerate(("line", "parabola", "cubic")):
         k = int(np.argmin(degrees[:, j]))
         lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
