@@ -90,17 +90,19 @@ class VerifyError(ErrpipeError):
 
 # Words of the field -> the word of a recording's columns that means it.
 SYNONYMS = {"deviation": "error", "reading": "actual", "target": "command", "dir": "direction", "temp": "temperature"}
+SYNONYMS |= {"siemens": "sinumerik"}  # a maker -> how the names of its formats begin
+MAX_SUGGESTED = 5  # names with the same beginning; beckhoff has four (by judgement)
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """' Did you mean X?' for the nearest allowed word, or '' where none is near."""
     words = list(allowed)
-    if (synonym := SYNONYMS.get(word)) in words:
-        return f" Did you mean {synonym}?"
-    near = difflib.get_close_matches(word, words, n=1, cutoff=0.6)
-    begun = [w for w in words if len(word) > 2 and w.startswith(word)]  # `laser` of laser-iso230
-    near = near or (begun if len(begun) == 1 else [])
-    return f" Did you mean {near[0]}?" if near else ""
+    meant = SYNONYMS.get(word, word)
+    if meant in words:
+        return f" Did you mean {meant}?"
+    begun = [w for w in words if len(word) > 2 and w.startswith(meant)]  # `laser` of laser-iso230
+    near = begun if 0 < len(begun) <= MAX_SUGGESTED else difflib.get_close_matches(word, words, n=1, cutoff=0.6)
+    return f" Did you mean {' or '.join(near)}?" if near else ""
 
 
 def first_problem(err: Any, *place: str) -> str:

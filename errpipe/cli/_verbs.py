@@ -103,4 +103,4 @@ def usage(err: Any) -> str:
     if type(err).__name__ == "NoSuchOption":
         known = [name for parameter in err.ctx.command.params for name in parameter.opts] if err.ctx else []
         return f"no option {err.option_name}.{did_you_mean(err.option_name, known)}"
-    return str(err.format_message())
+    return str(err.format_message()).replace(": Value error, ", ": ")  # pydantic's own words

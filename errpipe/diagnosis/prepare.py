@@ -66,7 +66,8 @@ def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
         except DataError as err:
             refused.append(str(err))
     if not accepted:
-        raise DataError("diagnose: no pair of responses\n" + "\n".join(f"  {line}" for line in refused))
+        why = "".join(f"\n  {line}" for line in refused)
+        raise DataError(f"diagnose: no pair of responses (a simulation in a file of its own: --simulation FILE){why}")
     return accepted, refused
 
 

@@ -39,7 +39,8 @@ def direction_column(recording: Recording, axis: str) -> str:
         name = recording.name(role, axis=axis)
         if name is not None:
             return name
-    raise MissingColumn(f"no column of the recording gives the direction of axis {axis}")
+    known = ", ".join(sorted({c.axis for c in recording.manifest.columns.values() if c.axis})) or "none"
+    raise MissingColumn(f"no column of the recording gives the direction of axis {axis} (axes with a column: {known})")
 
 
 def position(recording: Recording, axis: str) -> np.ndarray:

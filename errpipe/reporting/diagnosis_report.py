@@ -185,11 +185,12 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
     rows = svg.thin(trace.before.size)
     label, x = _clock(trace)
     with svg.figure(7.2, 4.2, rows=2) as (canvas, axes):
-        axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.FLOOR, label="recorded less simulated")
+        axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.FLOOR, label="recorded minus simulated")
         for name, colour in trace.colours().items():
             values = trace.contributions[name]
-            axes[0].plot(x[rows], values[rows], lw=1.4, color=colour, label=_finding_label(name, values, r.unit))
-        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8)
+            line, text = svg.broken(x[rows], values[rows], trace.run[rows]), _finding_label(name, values, r.unit)
+            axes[0].plot(*line, lw=1.4, color=colour, label=text)
+        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8, markerscale=3)
         axes[1].plot(x[rows], trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")
         axes[1].sharey(axes[0])
         axes[1].legend(loc="upper right", fontsize=8)
@@ -244,7 +245,7 @@ def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
             a.plot(x, fitted, ".", ms=2.0, color=colours[f.effect], label=text)
             a.set_xlabel(trace.label(name))
             a.set_ylabel(f"{r.component} ({r.unit})")
-            a.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
+            a.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, markerscale=3)
         for a in every[len(drawn) :]:
             a.set_visible(False)
         return svg.to_svg(canvas, f"Contribution of each finding to {r.component}, against its driver")

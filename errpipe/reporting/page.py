@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from importlib import resources
 from typing import Any
+
+MAX_DECIMALS = 6  # a smaller number is shown with four significant digits
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -12,6 +16,20 @@ def number(value: float | None, digits: int = 3) -> str:
         return "–"
     text = f"{value:.{digits}g}"
     return f"{float(text):g}" if "e" in text and 1e-3 < abs(value) < 1e6 else text
+
+
+def within(value: float, interval: Sequence[float] | None) -> str:
+    """A value, or an end of its 95 % interval, with the decimals of two digits of half the interval (GUM, 7.2.6)."""
+    half = (interval[1] - interval[0]) / 2 if interval else 0.0
+    if not 0 < half < math.inf:
+        return number(value, 4)
+    decimals = 1 - math.floor(math.log10(half))
+    return fixed(value, decimals) if 0 <= decimals <= MAX_DECIMALS else number(value, 4)
+
+
+def probability(value: float | None) -> str:
+    """A p value; below 1e-6 only that it is."""
+    return "< 1e-6" if value is not None and value < 1e-6 else number(value)
 
 
 def fixed(value: float | None, decimals: int) -> str:
@@ -31,5 +49,5 @@ def render(template: str, data: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"num": number, "fixed": fixed}
+    environment.filters |= {"num": number, "fixed": fixed, "within": within, "p": probability}
     return environment.get_template(template).render(**data) + "\n"

@@ -78,6 +78,7 @@ class RunReport:
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     next_step: str = ""
+    warning: str = ""  # what must be checked at the machine before anything is loaded
     refusal: str = ""  # why a gate refused the export; empty where it did not
     consequences: Sequence[str] = ()  # what the exported correction does, one sentence an axis
 
@@ -143,7 +144,8 @@ def by_group(r: Response) -> str:
 
 def residuals(r: Response) -> str:
     """Held-out residual against every input: structure here is missing physics."""
-    chosen = [svg.in_hours(label, x) for label, x in list(r.inputs.items())[:MOST_INPUTS]]
+    varied = [(label, x) for label, x in r.inputs.items() if np.unique(x[np.isfinite(x)]).size > 1]
+    chosen = [svg.in_hours(label, x) for label, x in varied[:MOST_INPUTS]]
     if not chosen:
         return ""
     columns = min(3, len(chosen))

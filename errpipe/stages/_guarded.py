@@ -280,7 +280,7 @@ def _one_by_one(judge: GuardReference, held: Recording, why: str, scheme: str | 
     if cost > MAX_COST:
         return no_guard(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
     symptoms = ", or ".join(rule.symptom for rule in RULES)
-    sentence = f"no temperature replaces another ({why}): one that {symptoms}, fades the correction"
+    sentence = f"each temperature is monitored by itself ({why}): the correction fades if one {symptoms}"
     return TableGuard(guard, sentence, {"watched": list(names), "stand_in": [], "cost": cost, "why": why})
 
 

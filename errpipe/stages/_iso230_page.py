@@ -16,11 +16,11 @@ from errpipe.reporting.run_report import Table
 from errpipe.validation import iso230_2
 
 MEANING = {
-    "A": "bidirectional accuracy",
-    "R": "bidirectional repeatability",
-    "E": "bidirectional systematic deviation",
-    "B": "reversal value",
-    "M": "range of the mean bidirectional deviation",
+    "A": "bidirectional accuracy of positioning",
+    "R": "bidirectional repeatability of positioning",
+    "E": "bidirectional systematic positioning error",
+    "B": "reversal error",
+    "M": "mean bidirectional positioning error (its range)",
 }
 CAPTION = "Mean deviation of each direction with bands of 2 s. A spans the bands, B is the largest reversal."
 

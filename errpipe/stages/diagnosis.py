@@ -64,7 +64,8 @@ class Diagnosis(Stage):
             "refused": [d.plain() for d in decisions if not d.accepted],
         }
         context.write_json("acceptance.json", {**document, "inputs": context.fingerprint})
-        summary = {r.component: r.says or r.verdict for r in diagnosed.responses}
+        says = {r.component: r.says or r.verdict for r in diagnosed.responses}
+        summary = {name: text.removeprefix(f"{name}: ").rstrip(".") for name, text in says.items()}
         for what, decided in (("accepted", True), ("refused", False)):
             rows = [f"{d.finding.effect} ({d.component})" for d in decisions if d.accepted is decided]
             summary[what] = ", ".join(rows) or "nothing"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
@@ -19,6 +19,11 @@ from errpipe.stages.validate import HELD_OUT
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
+
+SIGN_WARNING = (
+    f"{_artefacts.SIGN_NOTE}. Before anything is loaded, jog the axis 0.1 mm (deg) beyond a target in the positive "
+    "direction: the reading must rise."
+)
 
 
 class Report(Stage):
@@ -78,12 +83,9 @@ class Report(Stage):
                 for fit, (figures, _) in zip(fits, positioning, strict=True)
                 for table in (*figures, *_family_tables(fit.folder, fit.validation), *_seasons(fit.validation))
             ],
-            notes=[
-                *([f"{_artefacts.SIGN_NOTE}."] if any(_artefacts.sign_noted(fit.model) for fit in fits) else []),
-                *_left_out(exported),
-                *(c for d in exported.values() for c in d.get("checks", ())),
-            ],
-            next_step=_next_step(exported, self.refusal),
+            notes=[*_left_out(exported), *(c for d in exported.values() for c in d.get("checks", ()))],
+            warning=SIGN_WARNING if any(_artefacts.sign_noted(fit.model) for fit in fits) else "",
+            next_step=_next_step(exported, self.refusal, [c for f in fits for c in f.validation["components"]]),
         )
         context.write_text("report.html", render(page))
         return {"report": "report.html"}
@@ -290,9 +292,10 @@ def _outside(model: Any, name: str) -> str:
     if not model.validity.fades:
         return "fades by design of the model, without a step"
     margin, unit = model.validity.margins.get(name), model.columns.get(name, {}).get("unit") or ""
+    unit = "K" if unit == "degC" else unit  # a difference
     seen = model.validity.seen.get(name)
     fitted = f"; fitted from {seen[0]:.4g} to {seen[1]:.4g} only, the rest is an earlier model's range" if seen else ""
-    return "held at the end" if margin is None else f"fades to nothing over {margin:.3g} {unit}".rstrip() + fitted
+    return "held at the end" if margin is None else f"fades to zero over {margin:.3g} {unit}".rstrip() + fitted
 
 
 def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -368,9 +371,14 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     return out
 
 
-def _next_step(exported: Mapping[str, Any], refusal: str) -> str:
+def _next_step(exported: Mapping[str, Any], refusal: str, figures: Sequence[Mapping[str, Any]]) -> str:
     if refusal:
         return "read why the export was refused; correct the recording or the model, then errpipe run again."
+    if not exported and all(c["rms_after"] >= c["rms_before"] for c in figures):
+        return (
+            "do not export this model: on held-out rows it is not better than no compensation. Record further runs, "
+            "or fit fewer terms."
+        )
     if not exported:
         return "add an export stage to compile this model into a table that a controller runs."
     if any("/" in row["file"] for document in exported.values() for row in document["files"]):

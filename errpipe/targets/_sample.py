@@ -307,7 +307,7 @@ def backlash_by_hand(
 
 
 def reversal(axis: str, lost: float, low: float, high: float) -> Curve:
-    """Deviation by a reversal value: plus or minus half of it by direction, mm (deg)."""
+    """Deviation by a reversal error: plus or minus half of it by direction, mm (deg)."""
     half = np.full(2, lost / 2)
     return Curve(axis, axis, np.array([low, high]), half, -half)
 

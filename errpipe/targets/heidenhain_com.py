@@ -33,7 +33,7 @@ TENTH_UM = 1e-4  # mm (deg): unit of the spacing
 
 
 class HeidenhainCom(Target):
-    """Errors of every axis over each axis, with the reversal value of the axis itself."""
+    """Errors of every axis over each axis, with the reversal error of the axis itself."""
 
     name = "heidenhain_com"
     controller = "Heidenhain MANUALplus 620, iTNC 530, TNC 640"

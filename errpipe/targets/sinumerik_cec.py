@@ -62,7 +62,7 @@ class SinumerikCec(Target):
     """Up to eight tables: each axis over itself in two directions, over other axes, products of two such curves."""
 
     name = "sinumerik_cec"
-    controller = "SINUMERIK 840D sl, 828D"
+    controller = "Siemens SINUMERIK 840D sl, 828D"
     confidence = "experimental"
     sign = "a positive value moves the output axis in minus (as the leadscrew table; derived: prove it on the machine)"
     limits = "8 tables of 200 points, equidistant; sums of curves and (4 tables each) products; no temperature"

@@ -24,7 +24,7 @@ class SinumerikLec(ScrewMap):
     """Leadscrew error compensation of each axis: the mean of both directions."""
 
     name = "sinumerik_lec"
-    controller = "SINUMERIK 840D sl, 828D, 808D"
+    controller = "Siemens SINUMERIK 840D sl, 828D, 808D"
     confidence = "documented"
     sign = "a positive value moves the axis in minus (it is the error)"
     limits = "equidistant; 200 points (808D; 840D sl: MD38000); one direction; the axis' own position"

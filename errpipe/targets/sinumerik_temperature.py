@@ -22,7 +22,7 @@ class SinumerikTemperature(Target):
     """Level and slope per kelvin of each axis, to be refreshed from the sensors."""
 
     name = "sinumerik_temperature"
-    controller = "SINUMERIK 840D sl, 828D"
+    controller = "Siemens SINUMERIK 840D sl, 828D"
     confidence = "documented"
     sign = "a positive value moves the axis in minus (it is the error)"
     limits = "a straight line over the axis per sensor; settled state, no lag; slew limited by MD32760"

@@ -36,7 +36,7 @@ class Backlash(Term):
                (else `screw_windup`)
     Typical    2..20 um
     Moves      positive lost motion: approached from below the axis stops short of the target (deviation negative)
-    Source     ISO 230-2 (reversal value); Ni 1997, geometric errors
+    Source     ISO 230-2 (reversal error); Ni 1997, geometric errors
     """
 
     term: Literal["backlash"] = "backlash"

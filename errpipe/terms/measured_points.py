@@ -22,7 +22,7 @@ MAX_TARGETS = 400  # more places than any list of targets has: a log; `smooth_cu
 
 
 class MeasuredPoints(Term):
-    """A value for each target and, if both directions were measured, half of the reversal value.
+    """A value for each target and, if both directions were measured, half of the reversal error.
 
     Equation   deviation(x, d) = sum (p_k + d * r_k) * hat_k(x),  d = +1 or -1; hat_k: 1 at target k, 0 at the others
     Assumes    straight between targets, held beyond the first and last; the same at every temperature. What lies

@@ -12,7 +12,7 @@ EXIT_CODES = {
     "1": "An internal error: a fault of errpipe. Please report it with the output of --debug.",
     "2": "The command line or a configuration file cannot be used; the message names file, line and column.",
     "3": "Measurements are rejected: the message names file and line, what was found and what is allowed.",
-    "4": "A quality gate refused: not better than doing nothing, implausible, beyond a limit. Nothing was exported.",
+    "4": "A quality gate refused: not better than no compensation, implausible, beyond a limit. Nothing was exported.",
     "5": "`errpipe plan --exit-code`: stages would run.",
     "6": "A file on disk is not what it claims to be: damaged, edited, or not equal to its model.",
 }

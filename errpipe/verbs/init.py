@@ -76,7 +76,7 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     texts, why = _texts(name, template, folder, recording, targets)
     existing = [n for n in texts if (folder / n).exists()]
     if existing:
-        raise UsageError(f"{folder}: {', '.join(existing)} is there already; nothing was written")
+        raise UsageError(f"{folder}: {', '.join(existing)} already there; nothing was written (choose another folder)")
     if recording is None and template.sample is not None:
         from errpipe.domain.manifest_text import marked
         from errpipe.simulation import folder as recording_folder
@@ -130,6 +130,7 @@ def _filled(
 ) -> tuple[str, list[str]]:
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why heat is in it."""
     from errpipe.domain.manifest_text import scalar
+    from errpipe.stages.targets import chosen
     from errpipe.verbs import _init_heat
 
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
@@ -165,6 +166,7 @@ def _filled(
     kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
     text, why = _init_heat.proposed("\n".join([*kept, ""]), facts["recording"] if recording is not None else None)
     if targets:
+        chosen(targets)
         text = re.sub(r"(?m)^(\s*targets: ).*", rf"\g<1>[{', '.join(targets)}]", text)
     return text, why
 

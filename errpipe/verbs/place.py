@@ -148,8 +148,10 @@ def cross_validate(
             for n, row in zip(names, degrees.tolist(), strict=True)
         ],
     }
-    lines = [f"rms on duty cycles left out; doing nothing {nothing:.4g}"]
-    lines += [f"{len(s.places)} sensors: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})" for s in sets]
+    lines = [f"rms on held-out duty cycles, in the unit of the error; uncompensated {nothing:.4g}"]
+    for s in sets:
+        count = "1 sensor" if len(s.places) == 1 else f"{len(s.places)} sensors"
+        lines.append(f"{count}: {s.rms_left_out:.4g} ({', '.join(names[k] for k in s.places)})")
     for j, what in enumerate(("line", "parabola", "cubic")):
         k = int(np.argmin(degrees[:, j]))
         lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
@@ -166,10 +168,10 @@ def _undecided(best: SensorPlacement, nothing: float, cycles: int) -> str:
         worst = max(best.groups, key=lambda name: best.groups[name])
         others = float(np.sqrt(np.mean([v**2 for name, v in best.groups.items() if name != worst])))
         if not best.groups[worst] > OUTLIER_RATIO * others:
-            return "no sensor is better than doing nothing"
+            return "no sensor is better than no compensation"
         return (
-            f"no sensor is better than doing nothing: duty cycle {worst} alone is missed by {best.groups[worst]:.4g}, "
-            f"the others by {others:.4g}; does a sensor jump there?"
+            f"no sensor is better than no compensation: duty cycle {worst} alone is missed by "
+            f"{best.groups[worst]:.4g}, the others by {others:.4g}; does a sensor jump there?"
         )
     return (
         f"choose none: {cycles} duty cycles are too few or too unlike to show that {best.rms_left_out:.4g} "

@@ -75,6 +75,8 @@ class Builder:
             pass
         except MarkedYAMLError as err:
             what = ", ".join(part.split("\n")[0] for part in (err.problem, err.context) if part)
+            if "'\\t'" in what:
+                what = "a tab is not allowed here (indent with spaces)"
             mark, start = err.problem_mark or err.context_mark, err.context_mark
             if start is not None and start.line != mark.line:
                 what += f" that starts in line {start.line + 1}"

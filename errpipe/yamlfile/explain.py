@@ -136,6 +136,8 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
         return f"{message}. Did you mean '{quoted}', in quotes?" if quotes else message
     if "true or false" in wanted and value.lower() in _TRUTH:
         return f"{message}. Did you mean {_TRUTH[value.lower()]}?"
+    if wanted[0] == "a list" and value and "\n" not in value:
+        return f"{message}. Did you mean [{value}]?"
     number = plain(value.strip())
     if wanted[0] in ("a number", "a whole number") and isinstance(number, int | float) and not isinstance(number, bool):
         return f"{message}. Did you mean {value.strip()}, without quotes?"

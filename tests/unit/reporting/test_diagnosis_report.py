@@ -9,6 +9,7 @@ import pytest
 
 from errpipe.domain.diagnosis import Diagnosis, Finding, HoldOutFigures, ResponseDiagnosis
 from errpipe.reporting.diagnosis_report import FINDINGS, Trace, _clock, render
+from errpipe.reporting.svg import broken
 
 ROWS = 400
 
@@ -69,3 +70,15 @@ def test_runs_that_each_start_at_zero_stand_one_after_the_other() -> None:
 
 def test_equal_input_gives_equal_bytes() -> None:
     assert page("one_effect") == page("one_effect")
+
+
+def test_no_line_leads_from_one_run_to_the_next() -> None:
+    """A pause of weeks was crossed by a straight line."""
+    x, y = broken(np.arange(5.0), np.arange(5.0) ** 2, np.array([0, 0, 1, 1, 2]))
+    assert np.isnan(x).tolist() == [False, False, True, False, False, True, False]
+    assert np.isnan(y).tolist() == np.isnan(x).tolist() and x[~np.isnan(x)].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_the_next_step_stands_before_the_figures() -> None:
+    text = page("backlash")
+    assert text.index('<div class="next">') < text.index('<div class="figures">')

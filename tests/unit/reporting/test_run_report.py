@@ -1,12 +1,13 @@
 """The run page: same bytes for the same data, nothing from the network, every number it was given."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from errpipe.reporting import page
-from errpipe.reporting.run_report import Response, RunReport, render
+from errpipe.reporting.run_report import Response, RunReport, render, residuals
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +84,40 @@ def test_a_column_has_equal_decimals(report):
 def test_the_words_are_those_of_the_glossary(report):
     text = render(report)
     assert "EXX uncompensated, rms" in text and "residual, rms on held-out rows" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "text"),
+    [
+        (-0.06487, (-0.1302, 0.00049), "-0.065"),
+        (5.8143, (5.0990, 6.5300), "5.81"),
+        (1234.56, (1200.0, 1270.0), "1235"),
+        (12.0, None, "12"),
+        (3.0, (3.0, 3.0), "3"),
+    ],
+)
+def test_a_parameter_has_the_decimals_that_its_interval_supports(value, interval, text):
+    assert page.within(value, interval) == text
+
+
+def test_a_p_value_is_not_given_beyond_what_a_test_can_tell():
+    assert page.probability(1.34e-133) == "< 1e-6" and page.probability(0.0123) == "0.0123"
+    assert page.probability(None) == "–"
+
+
+def test_an_input_that_does_not_vary_has_no_figure(report):
+    (response,) = report.responses
+    constant = np.zeros(response.deviation.size)
+    assert residuals(replace(response, inputs={"y in mm": constant, "z in mm": constant * np.nan})) == ""
+    both = residuals(replace(response, inputs={"y in mm": constant, **response.inputs}))
+    assert "y in mm" not in both and "T_nut in degC" in both
+
+
+def test_what_must_be_checked_first_stands_before_the_figures(report):
+    text = render(replace(report, warning="The sign was assumed."))
+    assert text.index("The sign was assumed.") < text.index('class="figures"')
+
+
+def test_a_residual_above_the_uncompensated_rms_is_marked(report):
+    worse = replace(report.responses[0], rms_after=20.0)
+    assert '<b class="bad">20 um</b>' in render(replace(report, responses=[worse]))

@@ -114,3 +114,12 @@ def test_other_errors_of_a_static_recording_are_named(tmp_path: Path) -> None:
     init(tmp_path / "work", "laser-iso230", tmp_path / "recording")
     text = (tmp_path / "work" / "pipeline.yaml").read_text()
     assert "component: EXX  # recorded too: EYX\n" in text and text.count("component: E") == 1
+
+
+def test_a_target_that_is_none_is_refused_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It stood in the pipeline, and was refused by the first run only."""
+    assert main(["init", "--template", "dial-gauge", str(tmp_path / "mill"), "--target", "siemens"]) == 2
+    assert "sinumerik_lec" in capsys.readouterr().err.split("Did you mean")[1]
+    assert not (tmp_path / "mill").exists()

@@ -92,7 +92,7 @@ def test_the_duty_cycle_in_which_a_sensor_jumps_is_named(tmp_path, capsys):
     frame.to_csv(tmp_path / "jump.csv", index=False)
     assert main(["place", str(tmp_path / "jump.csv")]) == 0
     said = capsys.readouterr().out
-    assert "no sensor is better than doing nothing: duty cycle 2 alone is missed by" in said
+    assert "no sensor is better than no compensation: duty cycle 2 alone is missed by" in said
 
 
 def test_a_clock_is_no_place_for_a_sensor_and_candidates_are_listed(tmp_path, capsys):
