@@ -22,8 +22,8 @@ def command(
 
     \b
     Example:
-      errpipe check pipelines/drilled-plates.yaml
-      errpipe check pipelines/drilled-plates.yaml --no-data --format github
+      errpipe check pipelines/ball-screw-axis.yaml
+      errpipe check pipelines/ball-screw-axis.yaml --no-data --format github
     """
     from errpipe.cli._check import check
 

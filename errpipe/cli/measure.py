@@ -16,7 +16,9 @@ def command(
     without: list[str] = typer.Option(
         [], "--without", metavar="NAME", help="A component that need not be observable. Repeatable."
     ),
-    positions: int = typer.Option(40, "--positions", min=6, max=500, help="Positions per socket and tool."),
+    positions: int = typer.Option(
+        40, "--positions", metavar="N", min=6, max=500, help="Positions per socket and tool."
+    ),
     json: bool = Json,
 ) -> None:
     """Plan a test that shows all errors of a machine, as G-code.

@@ -16,8 +16,10 @@ def command(
     error: str = typer.Option("error", "--error", metavar="COLUMN", help="Column of the error."),
     group: str = typer.Option("duty_cycle", "--group", metavar="COLUMN", help="Column of the duty cycle."),
     time: str = typer.Option(None, "--time", metavar="COLUMN", help="Column of the time, not a sensor position."),
-    most: int = typer.Option(4, "--most", min=1, max=20, help="Maximum number of sensors."),
-    bar: float = typer.Option(None, "--bar", min=0.0, metavar="LOSS", help="A simulated heated bar instead of a file."),
+    most: int = typer.Option(4, "--most", metavar="N", min=1, max=20, help="Maximum number of sensors."),
+    bar: float = typer.Option(
+        None, "--bar", min=0.0, metavar="LOSS", help="A simulated heated bar of heat loss (mL)^2 instead of a file."
+    ),
     json: bool = Json,
 ) -> None:
     """Select the number and positions of temperature sensors.

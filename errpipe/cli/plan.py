@@ -24,8 +24,8 @@ def command(
 
     \b
     Example:
-      errpipe plan pipelines/drilled-plates.yaml --set fit.modes=6
-      errpipe plan pipelines/drilled-plates.yaml --exit-code
+      errpipe plan pipelines/ball-screw-axis.yaml --set fit.method=linear
+      errpipe plan pipelines/ball-screw-axis.yaml --exit-code
     """
     from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.pipeline import runner

@@ -15,15 +15,19 @@ _By = typer.Option([], "--by", metavar="GROUP", help="Group column of duty cycle
 def command(
     recording: Path | None = typer.Argument(None, metavar="RECORDING", help="Folder of the days recorded so far."),
     log: Path = typer.Option(None, "--log", metavar="FOLDER", help="Recording of temperatures: further duty cycles."),
-    component: str = typer.Option(None, "--component", help="The error that is modelled, such as E_D."),
+    component: str = typer.Option(None, "--component", metavar="NAME", help="The error that is modelled, such as E_D."),
     by: list[str] = _By,
     least: float = typer.Option(
-        None, "--least", min=0.0, help="Stop if the gain is below so many um rms; default: the noise."
+        None, "--least", metavar="UM", min=0.0, help="Stop if the gain is below this rms; default: the noise."
     ),
-    speed: float | None = typer.Option(None, "--speed", min=1.0, help="Plan speeds up to this one, rpm."),
-    hours: float = typer.Option(8.0, "--hours", min=0.5, max=48.0, help="Length of a day of speeds."),
-    noise: float = typer.Option(1.0, "--noise", min=1e-3, help="Standard deviation of a reading, um, for speeds."),
-    standing: float = typer.Option(0.0, "--standing", min=0.0, max=1.0, help="Least share at rest, for speeds."),
+    speed: float | None = typer.Option(None, "--speed", metavar="RPM", min=1.0, help="Plan speeds up to this one."),
+    hours: float = typer.Option(8.0, "--hours", metavar="H", min=0.5, max=48.0, help="With --speed: length of a day."),
+    noise: float = typer.Option(
+        1.0, "--noise", metavar="UM", min=1e-3, help="With --speed: standard deviation of a reading."
+    ),
+    standing: float = typer.Option(
+        0.0, "--standing", metavar="SHARE", min=0.0, max=1.0, help="With --speed: least share at rest."
+    ),
     json: bool = Json,
 ) -> None:
     """Select the thermal duty cycle to record next; show its benefit.

@@ -30,18 +30,25 @@ def command(
     champion: Path = typer.Option(..., "--champion", metavar="DIR", help="Run folder of the champion."),
     out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder of the challenger and of the decision."),
     alpha: float = typer.Option(
-        0.05, "--alpha", min=1e-9, max=0.5, help="Probability of ever promoting a challenger that is no better."
+        0.05,
+        "--alpha",
+        metavar="P",
+        min=1e-9,
+        max=0.5,
+        help="Probability of ever promoting a challenger that is no better.",
     ),
     max_change_um: float | None = typer.Option(
-        None, "--max-change-um", min=0.0, help="Largest change of the correction, um."
+        None, "--max-change-um", metavar="UM", min=0.0, help="Largest change of the correction."
     ),
     max_change_um_per_k: float | None = typer.Option(
-        None, "--max-change-um-per-k", min=0.0, help="Largest change of it per kelvin, um/K."
+        None, "--max-change-um-per-k", metavar="UM/K", min=0.0, help="Largest change of it per kelvin."
     ),
     allow_sensor: list[str] = typer.Option(
         [], "--allow-sensor", metavar="COLUMN", help="Input that the challenger may newly require."
     ),
-    annotations: str = typer.Option("none", "--annotations", help="github: failed gates as workflow commands."),
+    annotations: str = typer.Option(
+        "none", "--annotations", metavar="none|github", help="Report failed gates as commands of GitHub workflows."
+    ),
     sets: list[str] = Sets,
     json: bool = Json,
 ) -> None:

@@ -45,8 +45,8 @@ def command(
 
     \b
     Example:
-      errpipe run pipelines/drilled-plates.yaml --to fit --out out/plates
-      errpipe run pipelines/drilled-plates.yaml --depfile run.d --stamp run.stamp
+      errpipe run pipelines/ball-screw-axis.yaml --to fit --out out/axis
+      errpipe run pipelines/ball-screw-axis.yaml --depfile run.d --stamp run.stamp
     """
     from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline import unchanged

@@ -88,7 +88,8 @@ def checklist(
     lines += ["", "## Three-point check", ""]
     if moves := _moves(read):
         lines += [
-            "Go there with all axes from below, then all from above, others to mid travel; expect this correction.",
+            "Approach each position from below, then from above, with all axes; put the other axes at mid travel. "
+            "The control must apply this correction.",
             _reference_state(table),
         ]
         unit = "um, deg/1000" if any(map(components.is_rotary, read.axes())) else "um"
@@ -108,7 +109,10 @@ def checklist(
     lines += _with_numbers(table, read, numbers)
     if lost:
         seen = lost[0]["states"]
-        lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
+        lines += [
+            "",
+            f"At most: bound for settled states inside travel and validity range. Rms: of {seen} random ones.",
+        ]
     return "\n".join([*lines, ""])
 
 
@@ -293,7 +297,7 @@ def _reference_state(table: CompensationTable) -> str:
     start, moving = _sample.reference_readings(table), set(_sample.positions_of(table).values())
     steady = [f"{i.name} = {start[i.name]:g} {i.unit}".rstrip() for i in table.inputs if i.name in set(start) - moving]
     if not steady:
-        return "Nothing else matters to it: no temperature, no speed."
+        return "It depends on no temperature and no speed."
     return f"It holds at {', '.join(steady)}, all of them steady; at other readings expect other values."
 
 

@@ -26,7 +26,9 @@ class EcmcLut(ScrewMap):
     name = "ecmc_lut"
     controller = "EPICS ecmc"
     confidence = "documented"
-    sign = "a positive value is added to the measured position, so the loop moves the axis in minus (it is the error)"
+    sign = (
+        "a positive value is added to the measured position, so the loop moves the axis in minus (it is the deviation)"
+    )
     limits = "one curve for both directions; the axis' own position; no temperature"
     holds = ("screw",)
     remark = {"": "# {}"}

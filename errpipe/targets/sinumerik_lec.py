@@ -26,7 +26,7 @@ class SinumerikLec(ScrewMap):
     name = "sinumerik_lec"
     controller = "Siemens SINUMERIK 840D sl, 828D, 808D"
     confidence = "documented"
-    sign = "a positive value moves the axis in minus (it is the error)"
+    sign = "a positive value moves the axis in minus (it is the deviation)"
     limits = "equidistant; 200 points (808D; 840D sl: MD38000); one direction; the axis' own position"
     holds = ("screw",)
     remark = {"": "; {}"}

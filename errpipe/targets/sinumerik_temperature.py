@@ -24,7 +24,7 @@ class SinumerikTemperature(Target):
     name = "sinumerik_temperature"
     controller = "Siemens SINUMERIK 840D sl, 828D"
     confidence = "documented"
-    sign = "a positive value moves the axis in minus (it is the error)"
+    sign = "a positive value moves the axis in minus (it is the deviation)"
     limits = "a straight line over the axis per sensor; settled state, no lag; slew limited by MD32760"
     holds = ("temperature",)
     remark = {"": "; {}"}

@@ -26,7 +26,7 @@ class WeihongAxeserr(ScrewMap):
     name = "weihong_axeserr"
     controller = "Weihong NcStudio, NK200, EasyRoute"
     confidence = "documented"
-    sign = "a positive value means the axis went too far (it is the error); it is moved in minus"
+    sign = "a positive value means the axis went too far (it is the deviation); it is moved in minus"
     limits = "straight between points; the axis' own position; no temperature"
     unit = "mm, as the first line says"
     holds = ("screw", "both directions")
