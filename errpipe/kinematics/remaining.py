@@ -120,7 +120,7 @@ class Expected:
 
     effect_rms_um: of the compensated part; before_rms_um, left_rms_um: expected error without and with it, with what no
     reading observes; harm: the probability that the machine is worse with it (rms over the travel). axes: the same of
-    each linear axis. factors: of components that are compensated in part or (0) not.
+    each linear axis that corrects. factors: of components that are compensated in part or (0) not; None: of an axis.
     """
 
     effect_rms_um: float
@@ -134,12 +134,11 @@ class Expected:
         """As JSON values."""
         sizes = {k: getattr(self, k) for k in ("effect_rms_um", "before_rms_um", "left_rms_um")}
         figures = sizes | {"probability_worse": self.harm}
-        if not self.axes:
+        if self.factors is None:
             return figures
         axes = {name: axis.document() for name, axis in self.axes.items()}
-        factors = self.factors or {}
-        left_alone = [name for name, factor in factors.items() if factor == 0.0]
-        in_part = {name: factor for name, factor in factors.items() if factor > 0.0}
+        left_alone = [name for name, factor in self.factors.items() if factor == 0.0]
+        in_part = {name: factor for name, factor in self.factors.items() if factor > 0.0}
         return figures | {"axes": axes, "left_alone": left_alone, "in_part": in_part}
 
 

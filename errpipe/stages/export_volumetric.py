@@ -103,9 +103,14 @@ class ExportVolumetric(SignOptions, Stage):
         return {**figures, **({"worse": worse} if worse else {})}
 
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
-        """Linear axes that the table corrects. Raises GateError if the machine may get worse."""
+        """Linear axes that the table corrects. Raises GateError if the machine may get worse, UsageError without one."""
         from errpipe.validation import machine
 
+        if not chain.machine.correcting_axes():
+            raise UsageError(
+                "export_volumetric: the machine has no linear axis with a fixed direction that a table could move. "
+                "Positioning of a rotary axis is exported by `identify_direct`, `validate` and `export`."
+            )
         if self.ungated:
             return chain.machine.correcting_axes()
         validations = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]

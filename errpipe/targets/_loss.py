@@ -20,7 +20,7 @@ from errpipe.targets._base import Curve, Line, Plane, ReadBack
 from errpipe.targets._whole import WholeTable
 
 STATES = 2000  # random states for the rms
-AT_ENDS = 0.3  # share of them at an end of each range
+AT_ENDS = 0.3  # share of them at an end of each validity range
 MUCH, LITTLE = 0.05, 0.5  # share, and um: files that are worse than none by less are not remarked (by judgement)
 UM = 1e3  # per mm (thousandths of a degree per degree)
 Mean = tuple[np.ndarray, float]  # values and a mean of others
@@ -113,7 +113,11 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
 
 
 def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Random settled states, many of them at ends of travel and of validity, and the side each is approached from."""
+    """Random settled states, and the side each is approached from.
+
+    Positions are uniform over the travel: its ends are points of most files, which lose nothing there. Other inputs are
+    often at an end of their validity.
+    """
     side = np.where(rng.random(STATES) < 0.5, 1.0, -1.0)
 
     def drawn(low: float, high: float) -> np.ndarray:
@@ -122,7 +126,7 @@ def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[st
         return np.where(at < AT_ENDS / 2, low, np.where(at > 1 - AT_ENDS / 2, high, inside))
 
     names = _sample.positions_of(table)
-    states = {names[axis]: drawn(*ends) for axis, ends in travel(table).items()}
+    states = {names[axis]: rng.uniform(*ends, STATES) for axis, ends in travel(table).items()}
     known = [i for i in table.inputs if i.valid is not None and not i.optional and i.name not in states]
     states |= {i.name: drawn(*i.valid) for i in known if i.valid is not None}
     return states, side
