@@ -243,6 +243,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     why = "" if stated.get("role") else f"{g.kind} by {g.why}"
     if g.kind == "time":
         _time(c, unit, why, p)
+    elif g.kind == "direction" and guessing.without_side(c):
+        p.put(c.header, [label(x) for x in c.cells], guessing.NO_SIDES, role="ignore")
     elif g.kind == "direction":
         if all(THERE_AND_BACK.fullmatch(plain(x).strip(".:()")) for x in c.cells if x not in (None, "")):
             why += order.THERE_AND_BACK
