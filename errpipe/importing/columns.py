@@ -13,17 +13,7 @@ from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import NUMERIC_SHARE, Layout, RawColumn
 from errpipe.importing.units import in_brackets
-from errpipe.importing.words import (
-    AXIS_LETTER,
-    CORRECTION,
-    DISPLACEMENT,
-    DISTANCE,
-    DOWN,
-    GROUPS,
-    UP,
-    kind_by_name,
-    plain,
-)
+from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DISTANCE, GROUPS, kind_by_name, plain, way_of
 
 KIND_OF_UNIT = {
     **dict.fromkeys(("degC", "degF", "K"), "temperature"),
@@ -333,7 +323,7 @@ def side(text: object) -> float | None:
     words = [w for w in re.split(r"[\s_.]+", word) if not _FILLER.fullmatch(w)]
     came_from = len(words) == 1 and _SIGN.fullmatch(words[0]) and set(_FROM) & set(re.split(r"[\s_.]+", word))
     word = words[0] if len(words) == 1 else word
-    way = 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
+    way = way_of(word)
     return -way if came_from and way is not None else way
 
 
@@ -400,11 +390,6 @@ def _states_sides(column: RawColumn) -> bool:
     """Whether most filled cells are sides: the others may be remarks below the table."""
     known = [side(c) is not None for c in column.cells if c not in (None, "")]
     return sum(known) >= NUMERIC_SHARE * len(known)
-
-
-def without_side(column: RawColumn) -> bool:
-    """Whether a filled cell is no side."""
-    return any(side(c) is None for c in column.cells if c not in (None, ""))
 
 
 def sides(column: RawColumn) -> np.ndarray:

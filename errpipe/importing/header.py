@@ -172,7 +172,8 @@ def _are_units(texts: list[str]) -> bool:
     """Whether all cells are units; the first may say so: `Unit;s;µm`."""
     named = [t for k, t in enumerate(texts) if t and (k or not UNITS.fullmatch(t.strip(" :")))]
     cells = [t.strip("[]() ") for t in named]
-    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1", "#", "–", "—") or _DATE_FORM.fullmatch(c) for c in cells)
+    known = [unit_of(c) or c in ("-", "1", "#", "–", "—") or _DATE_FORM.fullmatch(c) for c in cells]
+    return any(map(unit_of, cells)) and all(known)
 
 
 def named_above(names: list[str], above: Rows) -> list[str]:
