@@ -57,7 +57,7 @@ def test_pages_are_one_table_and_a_remark_below_leaves_the_directions(tmp_path: 
 def test_a_force_beside_a_position_of_another_axis_has_its_own_letter(tmp_path: Path) -> None:
     rows = [f"{-100.0};{f};{0.02 * f + 0.3:.2f}" for f in range(-400, 401, 100)]
     file = written(tmp_path / "f.csv", ["Z [mm];Fx [N];dX [um]", *rows])
-    recording = imported(tmp_path, file, component="E_X")
+    recording = imported(tmp_path, file)
     assert next(c.axis for c in recording.manifest.columns.values() if c.role == "force") == "X"
 
 
