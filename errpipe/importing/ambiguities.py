@@ -48,6 +48,7 @@ def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     _too_few(p)
     _signs_in_a_column(p, layout, options)
     _unnamed_axis(p)
+    _two_states(p, layout, options)
     _artefact(p, layout, options)
     _twice(p)
 
@@ -65,6 +66,19 @@ def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> N
             raise DataError(
                 f"column {c.header!r} contains {' and '.join(sorted(labels))}: are they signs of readings? Write each "
                 f"reading with its sign (if not: --set '{c.header}.role=ignore')"
+            )
+
+
+def _two_states(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Readings with and without compensation, by a column of two labels: `Comp` with off and on, or `before comp`."""
+    for c in (c for c in layout.columns if not {c.header, slug(c.header)} & {*options.sets}):
+        labels = sorted({words.plain(text) for text in c.texts})
+        named = any(re.search(words.CORRECTION, text) for text in (words.plain(c.header), *labels))
+        unread = p.entries.get(p.names.get(c.header, ""), {}).get("role") in ("ignore", "run", "group")
+        if unread and named and len(labels) == 2:
+            raise DataError(
+                f"column {c.header!r} contains {' and '.join(labels)}: two states of the machine, and only readings "
+                f"without compensation are fitted. Keep their rows (if all are: --set '{c.header}.role=ignore')"
             )
 
 
@@ -172,7 +186,8 @@ def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) ->
 
 
 _DIAMETERS = re.compile(
-    r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
+    r"\bprogram\w* (?:in|as|im) (?:diam|durchm)"
+    r"|\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
 )
 
 

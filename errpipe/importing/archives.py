@@ -27,6 +27,8 @@ _PROSE = re.compile(  # what accompanies measurements in an archive
     r"(?:.*/)?(?:read_?me|liesmich|lisez-?moi|leggimi|leame|licen[sc]e)[^/]*|.*\.(?:pdf|docx?|md|png|jpe?g|heic|gif|svg|bmp|mp4|mov)",
     re.IGNORECASE,
 )
+_TEXTS = ("", ".md", ".txt")
+LARGEST_REMARK = 1 << 16  # bytes of a text whose lines are read: 500 lines
 
 
 def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
@@ -97,6 +99,13 @@ def _without_prose(path: Path, names: list[str]) -> tuple[list[str], list[str]]:
     prose = [name for name in names if len(names) > 1 and _PROSE.fullmatch(name)]
     notes = [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] if prose else []
     return [name for name in names if name not in prose], notes
+
+
+def remarks(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """The texts beside the measurements in a folder, with their lines."""
+    for file in sorted(f for f in folder.iterdir() if f.is_file() and not f.is_symlink()):
+        if _PROSE.fullmatch(file.name) and file.suffix.lower() in _TEXTS and file.stat().st_size < LARGEST_REMARK:
+            yield file, file.read_text("utf-8", errors="replace").splitlines()
 
 
 def _in_order(file: Path | str) -> list[tuple[str, int]]:

@@ -11,6 +11,11 @@ from errpipe.importing.words import axis_above, direction_sign_of, direction_wor
 
 COMMENT = ("#", "%", "//", ";", "!")
 MEAN_WITHIN = 0.02  # of its range: a table is the mean of two others, all rounded
+_PAGE = re.compile(  # above the header that a printer repeats: `Page 2 of 3`, `Seite: 2`
+    r"(?<![^\W_])(?:page|seite|pagina|pág(?:ina)?|página|strona|str|strana|sida|sayfa|oldal|blatt|стр(?:аница)?|페이지|ページ|页)"
+    r"\W{0,3}\d+|第\s?\d+\s?[页頁]|\d+\s?ページ",
+    re.IGNORECASE,
+)
 LONGEST_TITLE = 40  # characters of a line that states a direction and nothing else
 
 
@@ -133,7 +138,10 @@ def _repeated(
         return [names[0], *sides], [*rows[start : again[0]], *back]
     labels: dict[str, list[Cell]] = {"axis": [*axes]} if several else {}
     one_each = several and len(set(axes)) == len(axes)
-    if not one_each and not any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
+    pages = len({_PAGE.sub("", title) for title in titles}) == 1 and all(map(_PAGE.search, titles[1:]))
+    if pages:
+        notes.append(f"the header is repeated on {len(titles)} pages: one table")
+    if not one_each and not pages and not any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
         notes.append(f"the header occurs {len(titles)} times: the rows below each are one run")
         labels["run"] = [float(b + 1) for b in range(len(titles))]
         if sided:
@@ -162,8 +170,9 @@ def _above_headers(rows: Rows, numbers: Numbers, start: int, again: list[int]) -
 
 def _title(rows: Rows, numbers: Numbers, header: int) -> str:
     """The words right above a header, or nothing if a row of data precedes it."""
-    data = header == 0 or sum(v is not None for v in numbers[header - 1]) > 1
-    return "" if data else " ".join(map(label, filled_cells(rows[header - 1])))
+    title = " ".join(map(label, filled_cells(rows[header - 1]))) if header else ""
+    data = header > 0 and sum(v is not None for v in numbers[header - 1]) > 1
+    return "" if data and not _PAGE.search(title) else title
 
 
 def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:

@@ -11,19 +11,9 @@ from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import values
 from errpipe.importing.dates import seconds
-from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.layout import NUMERIC_SHARE, Layout, RawColumn
 from errpipe.importing.units import in_brackets
-from errpipe.importing.words import (
-    AXIS_LETTER,
-    CORRECTION,
-    DISPLACEMENT,
-    DISTANCE,
-    DOWN,
-    GROUPS,
-    UP,
-    kind_by_name,
-    plain,
-)
+from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DISTANCE, GROUPS, kind_by_name, plain, way_of
 
 KIND_OF_UNIT = {
     **dict.fromkeys(("degC", "degF", "K"), "temperature"),
@@ -55,7 +45,7 @@ PLACES = ("error", "counts")  # kinds of units in which a position may also be l
 # Physical symbols that are also axis letters: `v [mm/s]` is not the velocity of axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
 _BEFORE = (
-    r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
+    r"(?:[dΔδ]|[ef](?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
 )
 _BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
 _AXIS = re.compile(
@@ -196,8 +186,10 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     stated = unit or in_brackets(column.header)
     if kind == "coolant" and stated is None and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
         return "ignore", "named as coolant, but its values are not 0 and 1 (off and on)"
-    if kind == "direction" and None in [side(c) for c in column.cells if c not in (None, "")]:
+    if kind == "direction" and not _states_sides(column):
         return "ignore", NO_SIDES
+    if kind == "run" and _side(column) is not None:
+        return "direction", "its values (two signs)"  # `Pass`: forward, return
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(values.known(column)).size <= 2:
         return "ignore", "named as a compensation, but with two values: it states whether one is active"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
@@ -331,7 +323,7 @@ def side(text: object) -> float | None:
     words = [w for w in re.split(r"[\s_.]+", word) if not _FILLER.fullmatch(w)]
     came_from = len(words) == 1 and _SIGN.fullmatch(words[0]) and set(_FROM) & set(re.split(r"[\s_.]+", word))
     word = words[0] if len(words) == 1 else word
-    way = 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None
+    way = way_of(word)
     return -way if came_from and way is not None else way
 
 
@@ -392,6 +384,12 @@ def _side(column: RawColumn) -> np.ndarray | None:
         if cell not in ways and ways.setdefault(cell, _came_or_went(column.header, cell)) is None:
             return None
     return np.array([ways[c] for c in filled], dtype=float) if len(set(ways.values())) == 2 else None
+
+
+def _states_sides(column: RawColumn) -> bool:
+    """Whether most filled cells are sides: the others may be remarks below the table."""
+    known = [side(c) is not None for c in column.cells if c not in (None, "")]
+    return sum(known) >= NUMERIC_SHARE * len(known)
 
 
 def sides(column: RawColumn) -> np.ndarray:

@@ -30,7 +30,7 @@ _HALF_A_DAY = 43200.0  # s
 
 _CLOCKS = ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 _DAY_BEFORE_MONTH = ("%d.%m.%Y", "%d.%m.%y", "%d-%m-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y")
-_YEAR_FIRST = ("%Y/%m/%d", "%Y.%m.%d")
+_YEAR_FIRST = ("%Y/%m/%d", "%Y.%m.%d", "%Y-%m-%d")
 
 
 def _forms(*dates: str) -> tuple[str, ...]:
@@ -134,11 +134,20 @@ def order_of(form: str) -> str:
 
 
 def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
-    """Raise DataError if a clock goes back once, by an hour less one step, as at the end of summer time."""
+    """Raise DataError if a clock goes back once, by an hour less one step, as at the end of summer time, or by a day.
+
+    By a day less one step: past midnight with the date of the start.
+    """
     rows = np.flatnonzero(np.isfinite(since))
     steps = np.diff(since[rows])
     usual = float(np.median(steps)) if steps.size else 0.0
     back = np.flatnonzero(steps < 0)
+    if back.size and (np.abs(steps[back] + DAY - usual) <= FEW_STEPS * usual).all():
+        before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
+        raise DataError(
+            f"column {c.header!r}: {after!r} follows {before!r}: the clock passes midnight, and the date does not "
+            "change: write the date of each row"
+        )
     if back.size == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
         before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
         raise DataError(

@@ -99,8 +99,8 @@ def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> boo
     width: filled cells of a row of data. An event of a log has a comma as well: `INFO: SETTLING, started`.
     """
     texts = [label(c) for c in filled_cells(row)]
-    alone = len(texts) <= max(1, width // 3) and not any(v is not None for v in numbers) and not _are_units(texts)
-    return bool(texts) and (texts[0].startswith(COMMENT) or alone)
+    alone = len(texts) <= max(1, width // 3) and not any(v is not None for v in numbers)
+    return bool(texts) and (texts[0].startswith(COMMENT) or alone) and not _are_units(texts)
 
 
 def header_rows(rows: Rows, numbers: Numbers, start: int) -> list[int]:
@@ -172,7 +172,8 @@ def _are_units(texts: list[str]) -> bool:
     """Whether all cells are units; the first may say so: `Unit;s;µm`."""
     named = [t for k, t in enumerate(texts) if t and (k or not UNITS.fullmatch(t.strip(" :")))]
     cells = [t.strip("[]() ") for t in named]
-    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
+    known = [unit_of(c) or c in ("-", "1", "#", "–", "—") or _DATE_FORM.fullmatch(c) for c in cells]
+    return any(map(unit_of, cells)) and all(known)
 
 
 def named_above(names: list[str], above: Rows) -> list[str]:

@@ -36,16 +36,18 @@ def in_order_of_time(layout: Layout, guesses: Guesses) -> Layout:
     """The rows sorted by date, if positions and readings then change less from row to row; else in file order.
 
     A clock that was set back interleaves what it wrote before and after: its order is not that of the readings.
+    If every date is earlier than the one above, the newest row is the first: the rows are reversed.
     """
     clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and not c.numeric), None)
     t, epoch, _ = (dates.seconds(clock) if clock else None) or (np.zeros(1), None, "")
     moving = [c.values for c in layout.columns if guesses[c.header].kind in MOVING and c.numeric and np.any(c.values)]
     of_runs = any(g.kind in ("run", "group") for g in guesses.values())
     order, falls = np.argsort(t, kind="stable"), int((np.diff(t) < 0).sum())
-    if not falls or epoch is None or of_runs or not moving or np.isnan(t).any():
+    newest_first = falls == t.size - 1
+    if not falls or epoch is None or not moving or np.isnan(t).any() or (of_runs and not newest_first):
         return layout
     far = [sum(np.nansum(np.abs(np.diff(v[i]))) / np.nanmax(np.abs(v)) for v in moving) for i in (..., order)]
-    if far[1] > LESS_FAR * far[0]:
+    if far[1] > LESS_FAR * far[0] and not newest_first:
         return layout
     parts = [c.take(order) for c in layout.columns]
     notes = [*layout.notes, f"{falls} rows were earlier than the row above: rows sorted by date"]

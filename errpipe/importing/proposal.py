@@ -42,6 +42,7 @@ from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # Possible unknown units: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
+_ENLARGED = re.compile(r"(?<![^\W_])[x×*]\s?10+(?![\d.,^]|\s?(?:[uµμ]?m|in)\b)|\b10+\s?(?:[x×]|:\s?1)(?![^\W_])")
 OF_A_COUNT = ", times --resolution"
 _NO_UNIT = ("64 bit", "32 bit", "x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
@@ -227,6 +228,8 @@ def _wide_readings(
     component = options.component or components.positioning(axis)
     headers = tuple(c.header for c, _, _ in table.readings)
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
+    for header in headers:
+        refuse_enlarged(header)
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
     unit = resolve.stated_unit(options, stated[0] if stated else unit_above(layout.above, values), headers[0])
@@ -243,6 +246,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     why = "" if stated.get("role") else f"{g.kind} by {g.why}"
     if g.kind == "time":
         _time(c, unit, why, p)
+    elif g.kind == "direction" and np.isnan(guessing.sides(c)[[x not in (None, "") for x in c.cells]]).any():
+        p.put(c.header, [label(x) for x in c.cells], guessing.NO_SIDES, role="ignore")
     elif g.kind == "direction":
         if all(THERE_AND_BACK.fullmatch(plain(x).strip(".:()")) for x in c.cells if x not in (None, "")):
             why += order.THERE_AND_BACK
@@ -352,6 +357,15 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
     p.put(f"actual_{axis}", None, role="actual", axis=axis, unit=unit, derived=derived)
 
 
+def refuse_enlarged(header: str) -> None:
+    """Raise DataError for readings that a header says are multiplied: `Deviation x100 (um)`, as drawn in a plot."""
+    if factor := _ENLARGED.search(header):
+        raise DataError(
+            f"column {header!r}: are its readings multiplied ({factor.group().strip()})? Write them as they are, or "
+            f"say what one is worth: --set '{header}.unit=0.01 um' for um times 100"
+        )
+
+
 def _response(
     c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, moved: str, p: Proposal
 ) -> None:
@@ -359,6 +373,7 @@ def _response(
     magnitude = re.search(r"^\|.*\||\b(abs(olute|olut\w*)?|magnitude|betrag)\b", c.header, re.IGNORECASE)
     if magnitude and not np.any(c.values < 0):
         raise DataError(f"column {c.header!r} may have magnitudes without sign (if not: rename it, or --set its role)")
+    refuse_enlarged(c.header)
     if component is None:
         of_a_screw = unit in ("um", "mm", "nm") and re.search(r"\bpitch\b", plain(c.header))
         component = None if of_a_screw else guessing.other_component(c.header, moved)

@@ -7,6 +7,7 @@ the error of the machine.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from itertools import filterfalse
 
 import numpy as np
@@ -275,3 +276,14 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
             f"a line, sheet or file states {title[:60]!r}: are the readings deviations, positive if the axis moves too "
             "far (--sign actual-minus-commanded), or the opposite (--sign commanded-minus-actual)?"
         )
+
+
+def refuse_beside(p: Proposal, lines: Iterable[str], of: object) -> None:
+    """Raise DataError if a text beside the table states a sign that the table does not: a README, a sheet of notes."""
+    for line in lines if any(ASSUMED in why for why in p.guesses.values()) else ():
+        stated = words.difference(line)
+        if stated[0] <= 0 if stated else _titles_corrections(line) or _states_a_sign(line):
+            raise DataError(
+                f"{of} states {line.strip()[:60]!r}, and the table no sign: declare it with --sign "
+                "actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"
+            )

@@ -339,8 +339,10 @@ def unpivoted(layout: Layout) -> Layout:
     counted = not others and np.array_equal(x, x[:1] + np.arange(x.size))  # 1, 2, 3 ...: numbers of columns
     if not ordered or counted or any(c.numeric and guessing.guess(c).kind in MEASURED for c in others):
         return layout
-    others = [part for c in others for part in split_labels(c)]
     readings = np.stack([c.values for c in layout.columns if c.header in places], axis=1)
+    read = np.isfinite(readings).any(axis=1)  # not `Unit: um`
+    readings, others = readings[read], [c.take(np.flatnonzero(read)) for c in others]
+    others = [part for c in others for part in split_labels(c)]
     stated = next((c for c in others if guessing.guess(c).kind == "direction"), None)
     refuse_there_and_back([] if stated is None else [label(cell) for cell in stated.cells], x)
     ways = None if stated is None else guessing.sides(stated)
@@ -361,10 +363,12 @@ def unpivoted(layout: Layout) -> Layout:
 
 
 def split_labels(c: RawColumn) -> list[RawColumn]:
-    """A column that names run and side of every row (`Lauf 1 auf`) as two; any other unchanged."""
+    """A column that names run and side of every row but statistics (`Lauf 1 auf`) as two; any other unchanged."""
     if guessing.guess(c).kind not in ("ignore", "run") or c.numeric:
         return [c]
-    labels = [run_and_side(label(cell)) for cell in c.cells]
+    labels = [
+        (text, run_and_side(text)[1] or 1.0) if statistic(text := label(x)) else run_and_side(text) for x in c.cells
+    ]
     if any(run is None or way is None for run, way in labels) or len({way for _, way in labels}) < 2:
         return [c]  # `r01` of a run is not a return pass
     no_numbers = np.full(len(labels), np.nan)

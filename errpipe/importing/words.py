@@ -291,6 +291,11 @@ def direction_sign_of(header: str) -> float | None:
     return ways.pop() if len(ways) == 1 else None
 
 
+def way_of(word: str) -> float | None:
+    """+1 or -1 for a word of direction in the form of `plain`, or None."""
+    return next(iter(_ways_of(word)), None)
+
+
 def _ways_of(word: str) -> list[float]:
     return [way for way, pattern in ((1.0, UP), (-1.0, DOWN)) if pattern.fullmatch(word)]
 

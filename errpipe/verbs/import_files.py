@@ -41,7 +41,7 @@ from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.readers import open_file
-from errpipe.importing.sheet import ReaderOptions, Sheet
+from errpipe.importing.sheet import ReaderOptions, Sheet, filled_cells
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
 from errpipe.verbs._import_folders import folders_of, of_one_axis, only_some, refuse_twice
@@ -51,6 +51,7 @@ __all__ = ["options_of", "plain", "prepare", "write"]
 
 LARGEST_LEGEND = 1 << 16  # bytes of a file that only names channels: 500 lines
 TEXTS = (".csv", ".txt", ".tsv")  # endings of such a file
+NOTES = 200  # rows of a sheet without a table in which the sign may be stated
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 
 
@@ -66,7 +67,10 @@ def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions
             opened = {place: archives.unpacked(file, place) for place, file in places.items()}
             inside = {f: folders_of(f, p, places[p]) for p, (of, _) in opened.items() for f in of if f != places[p]}
             notes = [note for _, of in opened.values() for note in of]
-            return _prepared([file for of, _ in opened.values() for file in of], inside, reader, options, notes)
+            out = _prepared([file for of, _ in opened.values() for file in of], inside, reader, options, notes)
+            for text, lines in (r for place in places.values() if place.is_dir() for r in archives.remarks(place)):
+                signs.refuse_beside(out[0], lines, text)
+            return out
         except (DataError, UsageError) as err:
             message = str(err)
             for place, file in places.items():
@@ -213,6 +217,8 @@ def _of_any_sheet(
     together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
     out = together.runs_of_sheets(out)
     proposal, name = out[0]
+    for sheet in [s for s in sheets if s.name not in [n for _, n in out]]:
+        signs.refuse_beside(proposal, (" ".join(map(str, filled_cells(row))) for row in sheet.rows[:NOTES]), sheet.name)
     if len(out) > 1:
         others = ", ".join(other for _, other in out[1 : 1 + together.MAX_SHEETS_NAMED])
         proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet chooses one)")
