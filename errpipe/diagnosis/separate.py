@@ -91,8 +91,10 @@ def _moves(recording: Recording, axis: str | None, place: str, constant: pd.Data
         most = max(float(np.nanquantile(np.abs(recording.array(name)), 0.98)), 2 * top**2 / (high - low))
         rate, phase = most / top, np.linspace(0.0, 2 * np.pi, ROWS_PER_PERIOD)  # rad/s, rad
         x, v, a = top / rate * np.sin(phase), top * np.cos(phase), -most * np.sin(phase)
-        what = f"move {place} by +-{rounded(top / rate)} {unit} as a sine of {rounded(rate / (2 * np.pi))} Hz"
-        yield what, made(0.5 * (low + high) + x, v, phase / rate, **{name: a})
+        middle, ends = 0.5 * (low + high), top / rate
+        between = f"between {rounded(middle - ends)} and {rounded(middle + ends)} {unit}"
+        what = f"move {place} {between} as a sine of {rounded(rate / (2 * np.pi))} Hz"
+        yield what, made(middle + x, v, phase / rate, **{name: a})
 
 
 def _rest(recording: Recording) -> pd.DataFrame:

@@ -26,13 +26,22 @@ def shift_of(late: DelayDifference, recording: Recording, signals: Signals, tria
 
 
 def _residual_squares(late: DelayDifference, recording: Recording, signals: Signals):
-    """Residual sum of squares of a delay with a datum and a gain of the signal."""
+    """Residual sum of squares of a delay with a datum and a gain of the signal.
+
+    A simulated signal has one gain, late as it is: with a gain of the undelayed signal instead, a delay times the gain
+    is found. Of a position the deviation is recorded, and the gain beside it is that of a scale.
+    """
     known = late.signal(recording)[signals.rows]
-    beside = np.column_stack([np.ones(known.size), known / max(float(np.abs(known).max()), 1e-300)])
-    basis, _ = np.linalg.qr(beside)
+    size, datum = max(float(np.abs(known).max()), 1e-300), np.ones(known.size)
+    still, _ = np.linalg.qr(np.column_stack([datum, known / size]))
+    recorded = signals.whole() + known
 
     def of(delay: float) -> float:
-        rest = signals.whole() - DelayDifference(delay, late.name, late.axis).value(recording)[signals.rows]
+        moved = DelayDifference(delay, late.name, late.axis).value(recording)[signals.rows]
+        if late.axis:
+            rest, basis = signals.whole() - moved, still
+        else:
+            rest, basis = recorded, np.linalg.qr(np.column_stack([datum, (known + moved) / size]))[0]
         rest = rest - basis @ (basis.T @ rest)
         return float(rest @ rest)
 

@@ -15,7 +15,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._drivers import REFERENCE, rise_driver, scaled, sensors
+from errpipe.terms._drivers import REFERENCE, ROOM_WORDS, mentions, rise_driver, scaled, sensors
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._search import Estimates, Signals, Times, geometric
@@ -23,6 +23,15 @@ from errpipe.terms._slack import Slack, start_states
 
 TRIAL_RATIO, MIN_RATIO = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
 MAX_RESIDUAL_SHARE = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
+HOURS = 3000.0  # s, from which a lag of the room is typical of `ambient_drift`
+OTHER_NAME = -6.0  # log odds of such a lag under this name, by judgement
+
+
+class BelowHours(Times):
+    """Time constants of the room: by definition (ISO 230-3, environmental variation) long ones have another name."""
+
+    def log_prior(self, value: float, parameter: Parameter) -> float:
+        return super().log_prior(value, parameter) + (OTHER_NAME if value > HOURS else 0.0)
 
 
 class ThermalLag(Term):
@@ -42,6 +51,7 @@ class ThermalLag(Term):
     reference: Reference = REFERENCE
     along: str | None = Field(None, description="Axis along which the lagged temperature stretches; none: it shifts.")
     two_stages: bool = Field(False, description="A second, slower part follows the same sensor.")
+    of_room: bool = Field(False, description="The sensor reads the room: a lag of hours is an `ambient_drift`.")
     family = "thermal"
     form = "any start"
     rowwise = True
@@ -56,7 +66,8 @@ class ThermalLag(Term):
         return (fast, Parameter("gain_slow", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift of the slower part"))
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        fast = Parameter("tau", "s", (600.0, 15000.0), (60.0, 100000.0), "time constant")
+        typical, search = ((600.0, HOURS), BelowHours()) if self.of_room else ((600.0, 15000.0), None)
+        fast = Parameter("tau", "s", typical, (60.0, 100000.0), "time constant", search=search)
         if not self.two_stages:
             return (fast,)
         return (fast, Parameter("tau_slow", "s", (1800.0, 40000.0), (60.0, 200000.0), "of the slower part"))
@@ -96,11 +107,12 @@ class ThermalLag(Term):
             return
         taus = geometric(low, high, TRIAL_RATIO)
         for sensor in sensors(recording):
-            term = cls(sensor=sensor, two_stages=True)
+            of_room = mentions(recording, sensor, ROOM_WORDS)
+            term = cls(sensor=sensor, two_stages=True, of_room=of_room)
             states = np.column_stack([drive(term._driver(tau), recording)[signals.rows] for tau in taus])
             if np.isfinite(states).all():
                 single = term._one(recording, signals, taus)
-                yield cls(sensor=sensor), (single,)
+                yield cls(sensor=sensor, of_room=of_room), (single,)
                 one = drive(term._driver(single), recording)[signals.rows]
                 gap = int(np.ceil(np.log(MIN_RATIO) / np.log(taus[1] / taus[0])))
                 best = best_pair(states, one, signals.values, gap)
@@ -110,7 +122,9 @@ class ThermalLag(Term):
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalLag]:
         """Shifts only: a scale that follows its sensor late is within what an expansion of the scale may depart."""
-        return (term for term in cls.bind(recording, component) if not term.along)
+        for term in cls.bind(recording, component):
+            if not term.along:
+                yield term.model_copy(update={"of_room": mentions(recording, term.sensor, ROOM_WORDS)})
 
     def _one(self, recording: Recording, signals: Signals, taus: tuple[float, ...]) -> float:
         """The time constant that best explains the mismatch, with a datum and gains of the other signals."""

@@ -44,3 +44,10 @@ def test_a_sine_keeps_to_the_speed_and_the_acceleration_that_were_recorded() -> 
     (made,) = [m for what, m in _hypothetical_recordings(servo_log(), ("v",)) if "sine" in what]
     assert 140 < np.abs(made.array("v")).max() < 151
     assert 210 < np.abs(made.array("a")).max() < 226
+
+
+def test_the_ends_of_a_sine_are_stated_as_places() -> None:
+    """`+-75.7 mm` read like the uncertainty of the move."""
+    ((what, made),) = [(w, m) for w, m in _hypothetical_recordings(servo_log(), ("v",)) if "sine" in w]
+    assert f"between {made.array('x').min():.3g} and {made.array('x').max():.3g} mm as a sine" in what
+    assert "+-" not in what

@@ -17,7 +17,7 @@ from errpipe.kernels import responses
 from errpipe.terms import Signals
 from errpipe.terms._lines import harmonic_series, lines, periods
 from errpipe.terms._place import drive_periods, pole_periods
-from errpipe.terms._search import Waves
+from errpipe.terms._search import Waves, search_of
 from errpipe.terms.clock_offset import ClockOffset
 from errpipe.terms.dead_time import DeadTime
 from errpipe.terms.flexible_mode import FlexibleMode
@@ -183,6 +183,20 @@ def test_a_clock_offset_is_located_at_any_sampling_rate(step, offset):
     assert found == pytest.approx(offset, abs=0.2 * step)
 
 
+@pytest.mark.parametrize("gain", [0.75, 1.3])
+def test_a_wrong_gain_of_the_simulation_does_not_change_the_shift(gain):
+    """Beside a gain of the undelayed signal the delay times the gain was found, here 0.0338 s for 0.026 s."""
+    t = 0.005 * np.arange(4000)
+
+    def curve(when):
+        return 20 * np.sin(1.3 * when) + 8 * np.sin(5.1 * when + 1)
+
+    case, seen = log(t=t, EXX_sim=curve(t)), signals(gain * curve(t - 0.026) - curve(t))
+    (_, (offset,)), *_ = ClockOffset.estimates(case, "EXX", seen)
+    (delay,) = [v[0] for term, v in DeadTime.estimates(case, "EXX", seen) if term.column]
+    assert offset == pytest.approx(0.026, abs=1e-4) and delay == pytest.approx(0.026, abs=1e-4)
+
+
 # ---------------------------------------------------------------- a loop that settles
 def test_a_loop_that_settles_against_a_linear_system():
     t, _, a = under_way()
@@ -279,6 +293,21 @@ def test_two_time_constants_against_the_step_response():
     assert match.two_stages and is_close(taus, (400.0, 6000.0))
     ((single, tau),) = ThermalLag.estimates(case, "E_Z", signals(parts[1] + 0.01 * seen))
     assert not single.two_stages and tau[0] == pytest.approx(6000.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("place", "price"), [("room", 6.0), ("front bearing", 0.0)])
+def test_only_a_lag_of_the_room_by_hours_has_another_name(place, price):
+    t = 60.0 * np.arange(2000)
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "T": {"role": "temperature", "unit": "degC", "location": place},
+        "E_Z": {"role": "error", "component": "E_Z", "unit": "um"},
+    }
+    case = recording({"t": t, "T": 20 + np.sin(t / 9000), "E_Z": 0 * t}, kinds)
+    hypotheses, estimates = ThermalLag.hypotheses(case, case, "E_Z"), ThermalLag.estimates(case, "E_Z", signals(t))
+    for term in (*hypotheses, *(made for made, _ in estimates)):
+        (tau, *_), odds = term.nonlinear(), search_of(term.nonlinear()[0]).log_prior
+        assert odds(3500.0, tau) == pytest.approx(-price, abs=0.01) and odds(1000.0, tau) == 0.0
 
 
 def is_close(values, expected) -> bool:
