@@ -25,9 +25,9 @@ The correction fades to zero (`trust`) if more than `most_failed` sensors have f
 replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
 sensor that a rule flags fades the correction.
 
-A sensor without a reading when the run starts, where P is known: lags and rises of the others count from the start,
-and its own rise from the estimate sum v_ij x_j, minus its value at the start, at its first reading
-(`errpipe.guard.replace`). Without P all count from the first moment at which every sensor has a reading.
+A sensor without a reading when the run starts: lags and rises of the others count from the start. Its own rise
+counts from the reading that it usually has at a start, by the mean of the others, if that is known better than the
+rise that would be missed (`errpipe.guard.learn`); else from zero at its first reading.
 
 The guard consists of operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
 driver, causally. Missing, implausible and too fast readings are rejected before, by each input's own range, rate and
@@ -62,6 +62,11 @@ class GuardedSensor(FrozenModel):
     stands_in: bool = Field(True, description="Whether its estimate is accurate enough; else the correction fades.")
     reach: float = Field(gt=0, description="Largest residual r that is latched; twice that of healthy readings.")
     lively: float | None = Field(None, description="Threshold of the lagged square; healthy readings are mostly above.")
+    missed: tuple[float, float, float] | None = Field(
+        None,
+        description="Usual difference to the mean of the others at the start; limits of the rise soon after; none: "
+        "what the sensor missed before a late first reading is not estimated, K.",
+    )
     rules: tuple[AnyRule, ...] = Field((), description="Tests of its reading by itself, with their limits.")
 
     def rule(self, kind: str) -> Rule | None:

@@ -10,7 +10,6 @@ from functools import lru_cache
 
 from errpipe.domain import table as t
 from errpipe.guard.detect import FADE_S
-from errpipe.guard.replace import NEWLY_S
 
 
 def has_guard(table: t.CompensationTable) -> bool:
@@ -64,11 +63,13 @@ def _estimates(table: t.CompensationTable, node: t.Node) -> bool:
 
 def _is_missed_rise(table: t.CompensationTable, node: t.Node) -> bool:
     """Whether a node is the estimated rise of a sensor before its first reading (`replace`)."""
-    if not isinstance(node, t.FirstNode) or not isinstance(table.nodes[node.of[0]], t.ProductNode):
+    late = table.nodes[node.of[0]] if isinstance(node, t.ProductNode) else None
+    when = table.nodes[late.of[0]] if isinstance(late, t.ClipNode) else None
+    if not isinstance(when, t.AffineNode):
         return False
-    newly = table.nodes[table.nodes[node.of[0]].of[-1]]
-    there = table.nodes[newly.of[0]] if isinstance(newly, t.AffineNode) else None
-    return isinstance(there, t.LagNode) and there.tau_up == there.tau_down == NEWLY_S
+    first = [table.nodes[n] for n in when.of]
+    clocks = [table.nodes[n.of[0]] for n in first if isinstance(n, t.FirstNode)]
+    return len(clocks) == len(first) and all(isinstance(c, t.AffineNode) and c.weights == (1.0, 0.0) for c in clocks)
 
 
 def _is_no_change(node: t.Node, of: list[int], no_change: set[int]) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
 from errpipe.guard import description as g
 from errpipe.guard.rows import HealthyReadings, rows_of
@@ -32,6 +33,8 @@ MAX_RATE = 3.0  # times the fastest change of a healthy reading
 RANGE_SHARE, RANGE_K = 0.5, 25.0
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: share of the time in which a healthy reading is less active
+LATEST_S = 1200.0  # s after the start in which a late sensor usually has its first reading (by judgement)
+FEWEST_STARTS = 3  # for leave-one-run-out
 MIN_HOURS = 10.0  # h of recording to learn from
 
 
@@ -53,7 +56,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
     per_hour = FALSE_ALARMS / 1000 / (1 + len(RULES))  # of each kind of alarm: the comparison, and the rules
     test = _test(rows, per_hour)
     weights, largest = _estimate(rows)
-    alive = activity_of(rows)
+    alive, missed = activity_of(rows), _missed(recording, rows, names)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
         sensors=tuple(
@@ -65,6 +68,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 estimate=tuple(map(float, weights[i])),
                 reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
+                missed=missed[i],
                 rules=tuple(filter(None, (rule.learn(rows, i, per_hour / len(names)) for rule in RULES))),
             )
             for i, name in enumerate(names)
@@ -161,11 +165,13 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
     rows = rows_of(recording, tuple(names))
     if not np.any(rows.rises()):
         raise DataError("the recording shows no temperature that changes within a run")
+    missed = _missed(recording, rows, tuple(names))
     return g.SensorGuard(
         sensors=tuple(
             g.GuardedSensor(
                 name=name,
                 **_believable(rows, i),
+                missed=missed[i],
                 estimate=(0.0,) * len(names),
                 stands_in=False,
                 reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
@@ -179,6 +185,29 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
         false_alarms=FALSE_ALARMS,
         hours=_hours(rows),
     )
+
+
+def _missed(
+    recording: Recording, rows: HealthyReadings, names: tuple[str, ...]
+) -> list[tuple[float, float, float] | None]:
+    """Per sensor the usual difference to the mean of the others at the start, and the range of its rise soon after, K.
+
+    None where that difference is known no better (leave-one-run-out) than the rise itself, which a late sensor lacks.
+    """
+    x, session = np.column_stack([recording.array(n) for n in names]), sessions(recording)
+    start = x[np.flatnonzero(np.diff(session, prepend=-1))]
+    start = start[np.isfinite(start).all(axis=1)]
+    soon = rows.rises()[(rows.since() > 0.0) & (rows.since() <= LATEST_S)]
+    if len(names) < 2 or len(start) < FEWEST_STARTS or not soon.size:
+        return [None] * len(names)
+    apart = (start - start.mean(axis=1, keepdims=True)) * len(names) / (len(names) - 1)
+    error = apart.std(axis=0, ddof=1) * np.sqrt(len(start) / (len(start) - 1))
+    limits = np.minimum(soon.min(axis=0), 0.0), np.maximum(soon.max(axis=0), 0.0)
+    better = error < np.sqrt(np.mean(soon**2, axis=0))
+    return [
+        (float(usual), float(low), float(high)) if known else None
+        for usual, low, high, known in zip(apart.mean(axis=0), *limits, better, strict=True)
+    ]
 
 
 def _hours(rows: HealthyReadings) -> float:

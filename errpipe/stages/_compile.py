@@ -58,9 +58,8 @@ def compile_model(
 
     recording: how fast its sensors and axes moved limits readings and corrections.
     """
-    # A guard that judges each sensor alone has no estimate of what a late one missed: lags that start with it lose less
-    # then (a grinding spindle of an own generator, seed 2, three of eight days: 1.44 um instead of 2.20).
-    forms = (True, False) if guard is not None and guard.compares else (False,)
+    # A table may have no room for a node more for each lag: these then start with the last sensor.
+    forms = (False,) if guard is None else (True, False)
     for apart in forms:
         try:
             return _table_of(model, options, guard, recording, apart)

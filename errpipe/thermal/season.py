@@ -97,7 +97,8 @@ class Problem:
         names = self.sensors.all()
         self.starts = causes.columns(recording, [d.at_start(n) for n in names])
         self.balance = np.nan_to_num(drive(_balance(self.sensors), recording))
-        deviation = recording.array(response_name(recording, component))
+        read = np.isfinite(np.column_stack([self.core, self.extra])).all(axis=1)  # a run counts from there on
+        deviation = np.where(read, recording.array(response_name(recording, component)), np.nan)
         run = recording.run_codes()
         self.response, self.zero = since_start(deviation, run, options.datum_rows)
         measured = np.isfinite(self.response)

@@ -45,3 +45,13 @@ def test_runs_in_which_a_sensor_is_late_take_part_from_its_first_reading_on() ->
     (figures,) = held_out(lacking, FAMILY)["components"]
     assert figures["rows"] > 0.85 * len(recording)
     assert figures["rms_after"] < 0.3 * figures["rms_before"]
+
+
+def test_signed_families_compete_where_a_sensor_is_late_in_one_run() -> None:
+    """Before: an internal error, because these had no row of a run that the others fit."""
+    recording = machine(3, seasons=("winter", "spring"))
+    late = recording.array("T_spindle").copy()
+    late[:8] = np.nan
+    lacking = recording.with_columns({"T_spindle": late}, {})
+    family = Auto(component="E_Z", among=("rises", "network", "season"))
+    assert set(family.fit(lacking).documents["competition.json"]["rms_um"]["run"]) >= {"network", "mixture"}
