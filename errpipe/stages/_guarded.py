@@ -255,7 +255,9 @@ def _cost(judge: GuardReference, held: Recording, guard: SensorGuard, folds: Seq
     return max(own, judge.cost(judge.rms_difference(by_fold, predicted)))
 
 
-def _affordable(judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> tuple[SensorGuard, float]:
+def _affordable(
+    judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
+) -> tuple[SensorGuard, float]:
     """The guard at the smallest of `WIDER` with a cost of at most `MAX_COST`, else the widest; the cost."""
     tried, cost = guard, np.inf
     for times in WIDER:

@@ -169,7 +169,8 @@ def test_a_group_whose_states_go_on_from_the_group_before_it_makes_no_guard_cost
 def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
     """The stand-in of a sensor whose noise the table turns into more than the whole error."""
     rows, model, judge, _ = watched
-    poor = _guarded.GuardReference(model, CompileOptions(), rows, judge.plain, judge.left, {"E_Z": 1.01 * judge.left["E_Z"]})
+    before = {"E_Z": 1.01 * judge.left["E_Z"]}
+    poor = _guarded.GuardReference(model, CompileOptions(), rows, judge.plain, judge.left, before)
     lost = _guarded.choose_guard(poor, None)
     assert not all(s.stands_in for s in lost.guard.sensors) and "fades if" in lost.sentence
     alone = [s for s in lost.guard.sensors if not s.stands_in]  # a false alarm would cost the whole correction
