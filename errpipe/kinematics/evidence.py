@@ -72,9 +72,7 @@ def solve(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> tuple[np.nda
     return spread * u, half.T @ half
 
 
-def estimate_hyperparameters(
-    spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarray | None = None
-) -> np.ndarray:
+def estimate(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Sizes by family, power and noise. known: NaN if estimated. start: initial values of the search.
 
     With u the whitened solution and M its normal matrix, the gradient of the cost by log(spread_i) is

@@ -209,7 +209,7 @@ def identify(
     for _ in range(max(1, iterations)):
         moments = evidence.Moments.of(design[:, seen], (obs.value - offset) / obs.noise)
         start = hyper if hyper.size else None
-        hyper = evidence.estimate_hyperparameters(spreads.take(seen), moments, known, start)
+        hyper = evidence.estimate(spreads.take(seen), moments, known, start)
         mean, cov = np.zeros(design.shape[1]), np.diag(spreads.of(hyper) ** 2)
         mean[seen], cov[np.ix_(seen, seen)] = evidence.solve(spreads.take(seen), moments, hyper)
         curvature = bending_of_lengths(chain, model, obs, plain, mean)

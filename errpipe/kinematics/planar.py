@@ -195,7 +195,7 @@ def _reweighted(
         known[3] = 1e-6
     for _ in range(REWEIGHTINGS):
         moments = evidence.Moments.of(design * weight[:, None], readings * weight)
-        hyper = evidence.estimate_hyperparameters(spreads, moments, known, hyper if hyper.size else None)
+        hyper = evidence.estimate(spreads, moments, known, hyper if hyper.size else None)
         mean, cov = evidence.solve(spreads, moments, hyper)
         standardised = np.abs(readings - design @ mean) / hyper[-1]
         weight = plausible * np.sqrt(np.minimum(1.0, HUBER / np.maximum(standardised, 1e-12)))

@@ -25,6 +25,7 @@ TOP = Path(errpipe.__file__).parent
 KNOWN = {
     "fitting.experiment_design.fit": "examples/next-duty-cycle",
     "kernels.table_cycle.stream": "a controller's cycles in a loop: every other evaluator is compared with it",
+    "tables.reference.status_names": "the reference's status in words, for tests of the other evaluators",
     "targets._base.rounding_um": "stated for the tests that every format goes through",
     "cli._verbs.list_commands": "click calls it",
     "cli._verbs.format_commands": "click calls it",

@@ -38,6 +38,7 @@ KNOWN_OPTIONS = {  # option -> who sets it
 }
 
 KNOWN_FIELDS = {  # field of a dataclass -> who reads it
+    "simulation.ball_screw_axis.Simulated.truth": "the trials and tests that judge a correction of the simulated axis",
     "tables.reference.Cycle.faults": "whoever compares an evaluator with the reference",
     "validation.input_drift.Drift.healthy": "the pages of a retraining, from its document",
     "validation.outlying_runs.OutlyingRun.wrong": "the gates of a retraining, from its document",

@@ -13,16 +13,18 @@ from trials import noise
 from .machines import recording
 
 SEED = 5
-NULLS = [("axis", "AR(1) 0.99"), ("axis", "jumps"), ("spindle", "random walk"), ("spindle", "1/f")]
-NULLS += [
-    ("spindle", "AR(1) 0.999"),
-    ("axis", "Student t, 2 dof"),
-    ("axis", noise.COARSE),
-    pytest.param("trace", "AR(1) 0.99", marks=pytest.mark.slow),
-]
-EFFECTS = [("axis", "random walk"), ("axis", "AR(1) 0.9"), ("spindle", "Student t, 2 dof")]
-EFFECTS += [pytest.param("spindle", "AR(1) 0.99", marks=pytest.mark.slow)]
-EFFECTS += [pytest.param("trace", "random walk", marks=pytest.mark.slow), ("spindle", noise.COARSE)]
+
+
+def slow(*values):
+    """A case like a fast one: the same steps of the diagnosis on another machine or kind of noise."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+NULLS = [("axis", "jumps"), ("spindle", "random walk"), ("axis", noise.COARSE)]
+NULLS += [slow("axis", "AR(1) 0.99"), slow("spindle", "1/f"), slow("spindle", "AR(1) 0.999")]
+NULLS += [slow("axis", "Student t, 2 dof"), slow("trace", "AR(1) 0.99")]
+EFFECTS = [("axis", "AR(1) 0.9"), ("spindle", "Student t, 2 dof"), slow("axis", "random walk")]
+EFFECTS += [slow("spindle", "AR(1) 0.99"), slow("trace", "random walk"), slow("spindle", noise.COARSE)]
 
 
 @pytest.mark.parametrize(("machine", "kind"), NULLS)
@@ -106,7 +108,7 @@ def test_a_slow_lag_and_lost_motion_are_both_found_from_positions_alone():
     assert by_name["backlash"].drivers == ("x",)  # the column that the recording has
 
 
-@pytest.mark.parametrize(("size", "period"), [(60.0, 3100.0), (30.0, 1500.0)])
+@pytest.mark.parametrize(("size", "period"), [slow(60.0, 3100.0), (30.0, 1500.0)])
 def test_a_slow_mechanism_without_a_name_is_no_noise(size, period):
     """Guideway film over the oil's pressure: as a random walk it was noise, and only gains were recalibrated."""
     rng = np.random.default_rng(6)
@@ -147,7 +149,7 @@ def narrow(rng, n: int, pole: float = 0.97, turn: float = 2.1):
     return out[200:] / out[200:].std()
 
 
-@pytest.mark.parametrize("kind", ["AR(1) 0.9", "AR(1) 0.99", "random walk", "1/f", "white"])
+@pytest.mark.parametrize("kind", [slow("AR(1) 0.9"), "AR(1) 0.99", slow("random walk"), "1/f", slow("white")])
 def test_noise_that_wanders_is_a_linear_process(kind):
     run = np.zeros(600, dtype=int)
     quiet = [coloured.is_linear_noise(noise.KINDS[kind](np.random.default_rng(k), 600), run) for k in range(20)]

@@ -153,7 +153,10 @@ NOISE = {"cogging": 2.0, "slots": 0.3, "belt": 5.0, "mode": 0.4, "delay": 0.5, "
 CASES = {make.__name__: make for make in (cogging, slots, belt, mode, delay, two_bodies, five_tools)}
 
 
-@pytest.mark.parametrize("name", CASES)
+SLOW = ("cogging", "delay")  # torque_ripple is also in `slots`, a delay of part of a row in `test_drives`
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in CASES])
 def test_named_with_its_sizes_and_nothing_else(name: str, tmp_path: Path) -> None:
     made, effect, sizes = CASES[name]()
     folder.write(tmp_path / "recording", made)

@@ -77,7 +77,7 @@ def test_coverage_of_the_next_run_is_not_claimed_and_the_widths_are_larger() -> 
     assert figures["half_width90"] > inside["half_width90"]
 
 
-@pytest.mark.parametrize("days", [1, 3])
+@pytest.mark.parametrize("days", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_later_logs_lie_in_the_interval(days: int, tmp_path) -> None:
     """Machines of a seed that chose nothing: 85 % of their rows at least, and not at twice the width needed."""
     covered, wide = [], []

@@ -68,16 +68,19 @@ def test_without_heat_the_proposal_is_as_ever(tmp_path: Path, grows: float, move
     assert "targets: [sinumerik_lec, linuxcnc_screw, heidenhain_com]\n" in text
 
 
-def test_seasons_are_left_out_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("seasons", "scheme"),
+    [
+        (3, "{scheme: leave-one-group-out, of: season}"),
+        pytest.param(2, "{scheme: leave-one-run-out}", marks=pytest.mark.slow),
+    ],
+)
+def test_seasons_are_left_out_whole(tmp_path: Path, seasons: int, scheme: str) -> None:
     """The coarsest groups of which there are three; of two seasons runs are left out instead."""
     made = _axis(GROWTH)
-    for seasons, scheme in ((3, "{scheme: leave-one-group-out, of: season}"), (2, "{scheme: leave-one-run-out}")):
-        label = [f"season {code % seasons}" for code in made.run_codes()]
-        parted = made.with_columns(
-            {"season": np.array(label, dtype=object)}, {"season": Column(role="group", of="season")}
-        )
-        (folder := tmp_path / str(seasons)).mkdir()
-        assert f"holdout: {scheme}   # terms of heat" in _pipeline(folder, parted)
+    label = [f"season {code % seasons}" for code in made.run_codes()]
+    parted = made.with_columns({"season": np.array(label, dtype=object)}, {"season": Column(role="group", of="season")})
+    assert f"holdout: {scheme}   # terms of heat" in _pipeline(tmp_path, parted)
 
 
 def test_targets_of_the_user_are_the_only_ones(tmp_path: Path) -> None:
