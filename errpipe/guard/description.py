@@ -26,8 +26,9 @@ replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (on
 sensor that a rule flags fades the correction.
 
 A sensor without a reading when the run starts: lags and rises of the others count from the start. Its own rise
-counts from the reading that it usually has at a start, by the mean of the others, if that is known better than the
-rise that would be missed (`errpipe.guard.learn`); else from zero at its first reading.
+counts from the reading that it usually has at a start, by those of the others, if that is known much better than the
+rise that would be missed (`errpipe.guard.learn`); else, where it can be replaced, from the estimate sum v_ij x_j, minus
+its value at the start, at its first reading; else from zero there.
 
 The guard consists of operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
 driver, causally. Missing, implausible and too fast readings are rejected before, by each input's own range, rate and
@@ -49,6 +50,14 @@ from errpipe.domain.recording import FrozenModel
 from errpipe.guard.rules import AnyRule, Rule
 
 
+class Start(FrozenModel):
+    """The reading that a sensor usually has at a start: sum of weights times those of the others, plus `usual`, K."""
+
+    weights: tuple[float, ...] = Field(description="Of the sensors in the guard's order; 0 for itself.")
+    usual: float = Field(description="Usual difference, K.")
+    limits: tuple[float, float] = Field(description="Smallest and largest rise soon after a start, K.")
+
+
 class GuardedSensor(FrozenModel):
     """One sensor. Units: the sensor's own (degC; differences K), s."""
 
@@ -62,11 +71,7 @@ class GuardedSensor(FrozenModel):
     stands_in: bool = Field(True, description="Whether its estimate is accurate enough; else the correction fades.")
     reach: float = Field(gt=0, description="Largest residual r that is latched; twice that of healthy readings.")
     lively: float | None = Field(None, description="Threshold of the lagged square; healthy readings are mostly above.")
-    missed: tuple[float, float, float] | None = Field(
-        None,
-        description="Usual difference to the mean of the others at the start; limits of the rise soon after; none: "
-        "what the sensor missed before a late first reading is not estimated, K.",
-    )
+    start: Start | None = Field(None, description="Its reading at the start; none: not known well enough.")
     rules: tuple[AnyRule, ...] = Field((), description="Tests of its reading by itself, with their limits.")
 
     def rule(self, kind: str) -> Rule | None:

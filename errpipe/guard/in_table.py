@@ -10,6 +10,7 @@ from functools import lru_cache
 
 from errpipe.domain import table as t
 from errpipe.guard.detect import FADE_S
+from errpipe.guard.replace import NEWLY_S
 
 
 def has_guard(table: t.CompensationTable) -> bool:
@@ -63,6 +64,10 @@ def _estimates(table: t.CompensationTable, node: t.Node) -> bool:
 
 def _is_missed_rise(table: t.CompensationTable, node: t.Node) -> bool:
     """Whether a node is the estimated rise of a sensor before its first reading (`replace`)."""
+    if isinstance(node, t.FirstNode) and isinstance(table.nodes[node.of[0]], t.ProductNode):
+        newly = table.nodes[table.nodes[node.of[0]].of[-1]]
+        there = table.nodes[newly.of[0]] if isinstance(newly, t.AffineNode) else None
+        return isinstance(there, t.LagNode) and there.tau_up == there.tau_down == NEWLY_S
     late = table.nodes[node.of[0]] if isinstance(node, t.ProductNode) else None
     when = table.nodes[late.of[0]] if isinstance(late, t.ClipNode) else None
     if not isinstance(when, t.AffineNode):

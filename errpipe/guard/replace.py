@@ -13,9 +13,7 @@ from errpipe.guard.description import SensorGuard
 from errpipe.guard.detect import TIE_TOLERANCE, all_normal, faults, shared, trust
 from errpipe.guard.rules import activity
 
-NEWLY_S = (
-    60.0  # s after the others: well below the time constant of a body, above the interval of a logger (by judgement)
-)
+NEWLY_S = 60.0  # well below the time constant of a body, above the reading interval of a logger (by judgement)
 LONGEST_S = 1e9  # time constant of clocks: longer than any session
 
 
@@ -68,21 +66,39 @@ def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[flo
 
 
 def _missed_rise(driver: d.Driver, guard: SensorGuard) -> d.Driver | None:
-    """What the rise of a sensor lacks that had no reading at the start, K; 0 if it had one; None for other drivers.
+    """What the rise of a sensor lacks that had no reading at the start, K; 0 if it had one; None if not estimated.
 
     Its first reading minus the one it usually has at a start, by those of the others. It counts if the first reading
     was later than the others', on average, by `NEWLY_S`: nothing shows how all of them were before.
     """
-    k = next((k for k, s in enumerate(guard.sensors) if s.missed is not None and driver == d.rise(s.name)), None)
-    if k is None:
-        return None
-    usual, low, high = guard.sensors[k].missed or (0.0, 0.0, 0.0)
-    others = (-1.0 / (len(guard.sensors) - 1),) * (len(guard.sensors) - 1)
-    names = (guard.names()[k], *(n for n in guard.names() if n != guard.names()[k]))
-    beyond = d.Affine(offset=-usual, weights=(1.0, *others), of=tuple(map(d.at_start, names)))
+    k = next((k for k, s in enumerate(guard.sensors) if s.start is not None and driver == d.rise(s.name)), None)
+    start = None if k is None else guard.sensors[k].start
+    if k is None or start is None:
+        return _risen_as_others(driver, guard)
+    own, count = guard.names()[k], len(guard.sensors) - 1
+    others = [(n, w) for n, w in zip(guard.names(), start.weights, strict=True) if n != own]
+    names = (own, *(n for n, _ in others))
+    weights = (1.0, *(-w for _, w in others))
+    beyond = d.Affine(offset=-start.usual, weights=weights, of=tuple(map(d.at_start, names)))
     when = tuple(d.First(of=d.Affine(weights=(1.0, 0.0), of=(_clock(), d.Input(name=n)))) for n in names)
-    late = d.Clip(of=d.Affine(weights=(1.0, *others), of=when), low=0.0, high=1.0)
-    return d.Product(of=(late, d.Clip(of=beyond, low=low, high=high)))
+    late = d.Clip(of=d.Affine(weights=(1.0, *[-1.0 / count] * count), of=when), low=0.0, high=1.0)
+    return d.Product(of=(late, d.Clip(of=beyond, low=start.limits[0], high=start.limits[1])))
+
+
+def _risen_as_others(driver: d.Driver, guard: SensorGuard) -> d.Driver | None:
+    """Of the rise of a sensor that others can replace: its estimate when its first reading came, K; else None.
+
+    0 if all sensors have their first reading together. Of a sensor that is not the last one it has faded by then.
+    """
+    replaced = (s for s in guard.sensors if guard.compares and s.stands_in and any(s.estimate))
+    sensor = next((s for s in replaced if driver == d.rise(s.name)), None)
+    if sensor is None:
+        return None
+    others = [(w, d.rise(o.name)) for w, o in zip(sensor.estimate, guard.sensors, strict=True) if w]
+    estimate = d.Affine(weights=tuple(w for w, _ in others), of=tuple(x for _, x in others))
+    there = d.Affine(offset=1.0, weights=(0.0,), of=(d.Input(name=sensor.name),))
+    newly = d.Affine(offset=1.0, weights=(-1.0,), of=(d.lag(there, NEWLY_S),))
+    return d.First(of=d.Product(of=(estimate, newly)))
 
 
 def _clock() -> d.Driver:

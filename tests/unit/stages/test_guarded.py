@@ -246,8 +246,30 @@ def test_what_a_late_sensor_missed_is_estimated_from_the_others() -> None:
     off, mended = (np.abs(table_values(t, model, late)["E_Z"] - whole)[known].mean() for t in tables)
     assert mended < 0.5 * off
     assert np.array_equal(table_values(tables[1], model, rows)["E_Z"], whole)
-    free = in_table.without_guard(tables[1])
-    assert np.array_equal(table_values(free, model, late)["E_Z"], table_values(tables[0], model, late)["E_Z"])
+
+
+def test_sensors_that_are_late_together_missed_nothing_that_is_known() -> None:
+    """Whether the machine was warm when a log of its temperatures began is not known."""
+    rows = measured(8, 5)
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
+    gone = rows.time() < 1800.0
+    late = rows.with_columns({n: np.where(gone, np.nan, rows.array(n)) for n in sensors.NAMES}, {})
+    guard = learn.limits(rows, sensors.NAMES)
+    none = guard.model_copy(update={"sensors": tuple(s.model_copy(update={"start": None}) for s in guard.sensors)})
+    one, other = (
+        table_values(compile_model(model, CompileOptions(), g, rows), model, late)["E_Z"] for g in (guard, none)
+    )
+    assert np.abs(one - other)[~gone].max() < 1e-6 < 1.0 < np.abs(one[~gone]).max()
+
+
+def test_a_start_that_is_known_no_better_than_the_rise_is_not_estimated() -> None:
+    rows = measured(8, 5)
+    away = np.random.default_rng(1).normal(0.0, 30.0, 8)[rows.run_codes()]  # K, another offset in each run
+    moved = rows.with_columns({"T_bearing": rows.array("T_bearing") + away}, {})
+    for by in (learn.learn, learn.limits):
+        assert by(moved, sensors.NAMES).sensors[0].start is None
+        assert by(rows, sensors.NAMES).sensors[0].start is not None
+        assert by(rows.take(rows.run_codes() < 2), sensors.NAMES).sensors[0].start is None
 
 
 def test_a_model_whose_lags_fill_the_table_is_guarded_all_the_same(watched) -> None:
