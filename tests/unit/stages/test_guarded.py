@@ -81,6 +81,35 @@ def test_a_failed_sensor_is_stood_in_for(watched, way):
     assert guarded < 0.7 * bare
 
 
+def nine(runs: int, seed: int) -> Recording:
+    """`measured`, with three further sensors between others, which the deviation follows too."""
+    rows, rng = measured(runs, seed), np.random.default_rng(seed)
+    x = {n: rows.array(n) for n in sensors.NAMES}
+    pairs = {"T_7": ("T_bearing", "T_housing"), "T_8": ("T_motor", "T_column"), "T_9": ("T_bed", "T_room")}
+    more = {n: (x[a] + x[b]) / 2 + 0.05 * rng.standard_normal(len(rows)) for n, (a, b) in pairs.items()}
+    y = rows.array("E_Z") + sum(0.3 * (v - 20.0) for v in more.values())
+    role = Column(role="temperature", unit="degC")
+    return rows.with_columns(more | {"E_Z": y}, dict.fromkeys(more, role))
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan, 35.0])
+def test_a_sensor_beyond_those_compared_is_kept_consistent_with_them(wrong):
+    rows = nine(8, 5)
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
+    judge = judged(rows, model)
+    found = _guarded.choose_guard(judge, None)
+    assert len(found.guard.sensors) == 6 and len(found.guard.kept) == 3
+    table, fresh = judge.compiled(found.guard), nine(4, 6)
+    healthy, late = table_values(table, model, fresh)["E_Z"], fresh.time() >= 7200.0
+    assert np.sqrt(np.mean((healthy - table_values(judge.plain, model, fresh)["E_Z"]) ** 2)) < 0.1
+    for name in found.guard.kept_names():
+        failed = fresh.with_columns({name: np.where(late, wrong, fresh.array(name))}, {})
+        assert np.std(table_values(table, model, failed)["E_Z"] - healthy) < 0.1 * np.std(healthy)
+    free = in_table.without_guard(table)
+    assert len(free.nodes) == len(judge.plain.nodes)
+    assert np.array_equal(table_values(free, model, fresh)["E_Z"], table_values(judge.plain, model, fresh)["E_Z"])
+
+
 def test_a_table_without_its_guard_is_the_plain_one(watched):
     rows, model, judge, found = watched
     table = judge.compiled(found.guard)
