@@ -25,7 +25,8 @@ def command(
     """Predict every response of a recording, as a controller would.
 
     Row k uses rows up to k of its own run only. Columns: run, time, and per response NAME
-    NAME_predicted, NAME_lower, NAME_upper (90 %), NAME_outside (1 outside the validity box).
+    NAME_predicted, NAME_lower, NAME_upper (90 %), NAME_outside (1 where
+    the table fades, lacks a reading or is beyond a curve).
     With --readings, a file of columns time (s, the recording's clock), one per response (its unit)
     and, where runs overlap in time, run: a row is corrected by the last reading of its run before it.
 

@@ -25,6 +25,10 @@ The correction fades to zero (`trust`) if more than `most_failed` sensors have f
 replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
 sensor that a rule flags fades the correction.
 
+Sensors beyond those that are compared are kept consistent with them. With b = x_k - sum v_kj (guarded reading of j),
+minus its value at the start, the reading counts as x_k + clip(b, -within, within) - b: unchanged in conditions like
+those of the recording; frozen, lost, jumped or drifting, it is wrong by at most about `within`. No state, no decision.
+
 A sensor without a reading when the run starts: lags and rises of the others count from the start. Its own rise
 counts from the reading that it usually has at a start, by those of the others, if that is known much better than the
 rise that would be missed (`errpipe.guard.learn`); else, where it can be replaced, from the estimate sum v_ij x_j, minus
@@ -79,11 +83,22 @@ class GuardedSensor(FrozenModel):
         return next((r for r in self.rules if r.rule == kind), None)
 
 
-class SensorGuard(FrozenModel):
-    """Format version 4. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
+class KeptSensor(FrozenModel):
+    """A sensor that is not compared, but kept consistent with those that are. Units: K."""
 
-    sensor_guard: Literal[4] = 4
+    name: str
+    low: float = Field(description="Healthy readings are above it.")
+    high: float = Field(description="Healthy readings are below it.")
+    estimate: tuple[float, ...] = Field(description="Weights of the compared sensors in the guard's order.")
+    within: float = Field(gt=0, description="Largest difference of its rise from the estimate that counts.")
+
+
+class SensorGuard(FrozenModel):
+    """Format version 5. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
+
+    sensor_guard: Literal[5] = 5
     sensors: tuple[GuardedSensor, ...]
+    kept: tuple[KeptSensor, ...] = ()
     threshold: float = Field(1.0, gt=0, description="Of the standardised residual; reached at the stated rate.")
     horizon_s: float = Field(gt=0, description="Time constant of the test's high-pass filter.")
     settle_s: float = Field(gt=0, description="Time constant of the latched residual.")
@@ -103,7 +118,8 @@ class SensorGuard(FrozenModel):
             )
             for s in self.sensors
         )
-        return self.model_copy(update={"threshold": times * self.threshold, "sensors": wider})
+        kept = tuple(s.model_copy(update={"within": times * s.within}) for s in self.kept)
+        return self.model_copy(update={"threshold": times * self.threshold, "sensors": wider, "kept": kept})
 
     @property
     def compares(self) -> bool:
@@ -112,3 +128,6 @@ class SensorGuard(FrozenModel):
 
     def names(self) -> tuple[str, ...]:
         return tuple(s.name for s in self.sensors)
+
+    def kept_names(self) -> tuple[str, ...]:
+        return tuple(s.name for s in self.kept)

@@ -77,12 +77,29 @@ def _is_missed_rise(table: t.CompensationTable, node: t.Node) -> bool:
     return len(clocks) == len(first) and all(isinstance(c, t.AffineNode) and c.weights == (1.0, 0.0) for c in clocks)
 
 
-def _is_no_change(node: t.Node, of: list[int], no_change: set[int]) -> bool:
-    """Whether a node is zero without a guard, by its operands: a difference of equals, or a sum or lag of such."""
-    if isinstance(node, t.AffineNode) and node.weights == (1.0, -1.0) and not node.offset and of[0] == of[1]:
-        return True
+def _is_no_change(table: t.CompensationTable, node: t.Node, of: list[int], no_change: set[int]) -> bool:
+    """Whether a node is zero without a guard, by its operands: a difference of equals, or a sum or lag of such.
+
+    Equal is also the rise of a sensor beyond its estimate and its clipped value (`replace`).
+    """
+    if isinstance(node, t.AffineNode) and node.weights == (1.0, -1.0) and not node.offset:
+        clip, beyond = (table.nodes[n] for n in node.of)
+        if of[0] == of[1] or (isinstance(clip, t.ClipNode) and clip.of == node.of[1:] and _is_rise(table, beyond)):
+            return True
     linear = isinstance(node, t.LagNode) or (isinstance(node, t.AffineNode) and not node.offset)
     return linear and bool(of) and no_change.issuperset(of)
+
+
+def _is_rise(table: t.CompensationTable, node: t.Node) -> bool:
+    """Whether a node is a sum minus its own value at the start of the run."""
+    if not isinstance(node, t.AffineNode) or node.weights != (1.0, -1.0):
+        return False
+    first = table.nodes[node.of[1]]
+    return (
+        isinstance(first, t.FirstNode)
+        and first.of == node.of[:1]
+        and isinstance(table.nodes[first.of[0]], t.AffineNode)
+    )
 
 
 @lru_cache(maxsize=4)
@@ -90,6 +107,7 @@ def _without(table: t.CompensationTable) -> t.CompensationTable:
     gates = _gates(table)
     stand_for: dict[int, int] = {}
     no_change: set[int] = set()
+    seen: dict[t.Node, int] = {}  # what was bent with guarded readings equals what was bent with plain ones
 
     def source(number: int) -> int:
         while number in stand_for:
@@ -104,8 +122,12 @@ def _without(table: t.CompensationTable) -> t.CompensationTable:
             stand_for[number] = node.of[0]
         elif isinstance(node, t.AffineNode) and node.weights == (1.0, 1.0) and source(node.of[1]) in no_change:
             stand_for[number] = node.of[0]  # a driver plus what the guard changes of it
-        elif _is_missed_rise(table, node) or _is_no_change(node, [source(n) for n in node.of], no_change):
+        elif _is_missed_rise(table, node) or _is_no_change(table, node, [source(n) for n in node.of], no_change):
             no_change.add(number)
+        if number not in stand_for:
+            same = node.model_copy(update={"of": tuple(source(n) for n in node.of)})
+            if (earlier := seen.setdefault(same, number)) != number:
+                stand_for[number] = earlier
 
     factors = {f for o in table.outputs for m in o.terms for f in m.factors}
     wanted = {source(n) for n in factors | {p.driver for p in table.pairs}}

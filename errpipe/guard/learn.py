@@ -41,11 +41,11 @@ START_RIDGE, START_SHARE = 0.1, 0.2
 MIN_HOURS = 10.0  # h of recording to learn from
 
 
-def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.SensorGuard:
+def learn(recording: Recording, sensors: Sequence[str] | None = None, others: Sequence[str] = ()) -> g.SensorGuard:
     """Learn from a recording whose sensors were healthy (clean it first).
 
-    sensors: default all temperatures. Leave-one-run-out. Raises DataError if there are fewer than two
-    sensors, two runs, or ten hours.
+    sensors: default all temperatures; others: those to be kept consistent with them. Leave-one-run-out. Raises
+    DataError if there are fewer than two sensors, two runs, or ten hours.
     """
     names = tuple(sensors) if sensors is not None else recording.names("temperature")
     rows = rows_of(recording, names)
@@ -76,6 +76,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
             )
             for i, name in enumerate(names)
         ),
+        kept=_kept(rows_of(recording, (*names, *others)), others),
         threshold=test.threshold,
         horizon_s=HORIZON_S,
         settle_s=SETTLE_S,
@@ -141,6 +142,37 @@ def _estimate(rows: HealthyReadings) -> tuple[np.ndarray, np.ndarray]:
 
     ridge = min(RIDGES, key=lambda r: float(np.sum(np.log(np.mean(left(r, shift) ** 2, axis=0) + 1e-18))))
     return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
+
+
+def _kept(rows: HealthyReadings, names: Sequence[str]) -> tuple[g.KeptSensor, ...]:
+    """The last columns of the readings, each estimated from the rises of those before them."""
+    if not names or not len(rows.x):
+        return ()
+    sensors, rise = rows.x.shape[1] - len(names), rows.rises()
+    size = max(float(np.mean(rise[:, :sensors] ** 2)), 1e-12)
+
+    def weights(values: np.ndarray, ridge: float) -> np.ndarray:
+        x = values[:, :sensors]
+        return np.linalg.solve(x.T @ x / len(x) + ridge * size * np.eye(sensors), x.T @ values[:, sensors:] / len(x))
+
+    def left(ridge: float) -> np.ndarray:
+        out = rise[:, sensors:].copy()
+        for label in np.unique(rows.group):
+            inside = rows.group == label
+            out[inside] -= rise[inside, :sensors] @ weights(rise[~inside], ridge)
+        return out
+
+    tried = np.array([left(ridge) for ridge in RIDGES])
+    best = np.argmin(np.mean(tried**2, axis=1), axis=0)
+    out = []
+    for i, name in enumerate(names):
+        largest = float(np.max(np.abs(tried[best[i], :, i])))
+        ends = _believable(rows, sensors + i)
+        estimate = tuple(map(float, weights(rise, RIDGES[best[i]])[:, i]))
+        out.append(
+            g.KeptSensor(name=name, low=ends["low"], high=ends["high"], estimate=estimate, within=max(largest, 1e-3))
+        )
+    return tuple(out)
 
 
 def _regress(values: np.ndarray, ridge: float) -> np.ndarray:

@@ -40,6 +40,8 @@ def guarded(
     """
     if not _reads(driver, guard) or (apart and isinstance(driver, d.First)):
         return driver
+    if isinstance(driver, d.Input) and driver.name in guard.kept_names():
+        return d.Affine(weights=(1.0, 1.0), of=(driver, _kept(guard, driver.name)))
     if isinstance(driver, d.Input):
         k = guard.names().index(driver.name)
         low, high = (within or {}).get(driver.name, (guard.sensors[k].low, guard.sensors[k].high))
@@ -53,6 +55,8 @@ def guarded(
 
 def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None) -> d.Driver:
     """What guarded readings change of a driver that reads some."""
+    if isinstance(driver, d.Input) and driver.name in guard.kept_names():
+        return _kept(guard, driver.name)
     if isinstance(driver, d.Affine):
         parts = [p for p in zip(driver.weights, driver.of, strict=True) if _reads(p[1], guard)]
         changes = tuple(_change(x, guard, within) for _, x in parts if not isinstance(x, d.First))
@@ -107,7 +111,7 @@ def _clock() -> d.Driver:
 
 
 def _reads(driver: d.Driver, guard: SensorGuard) -> bool:
-    return not set(d.inputs(driver)).isdisjoint(guard.names())
+    return not set(d.inputs(driver)).isdisjoint((*guard.names(), *guard.kept_names()))
 
 
 def _is_linear(driver: d.Driver) -> bool:
@@ -146,6 +150,17 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
             fault = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
+
+
+@shared
+def _kept(guard: SensorGuard, name: str) -> d.Driver:
+    """What is added to the reading of a sensor that is not compared: 0 while it is consistent with those that are."""
+    (sensor,) = (s for s in guard.kept if s.name == name)
+    others = [(v, x) for v, x in zip(sensor.estimate, readings(guard), strict=True) if v]
+    of = (d.Input(name=name), *(x for _, x in others))
+    beyond = c.since_start(d.Affine(weights=(1.0, *(-v for v, _ in others)), of=of))
+    counted = d.Clip(of=beyond, low=-sensor.within, high=sensor.within)
+    return d.Affine(weights=(1.0, -1.0), of=(counted, beyond))
 
 
 @shared

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from errpipe.domain.components import unit
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
 from errpipe.domain.table import MAX_NODES
@@ -31,6 +33,7 @@ MAX_COMPARED, MAX_INDIVIDUAL = 6, 15  # compared with each other; monitored indi
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
 # per sensor monitored individually; without those of the rules.
 NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 48, 17, 18
+NODES_KEPT = 6  # per sensor that is kept consistent with those that are compared
 MAX_COST = 0.03  # relative increase of the held-out residual with healthy sensors
 # Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
 # 0.7, 4 instead of 2 of 115 frozen sensors exceed no compensation.
@@ -41,6 +44,7 @@ COARSEST_S = 30.0  # largest s between remaining rows: a tenth of the time in wh
 MAX_BATCHES = 6  # of held-out runs: each needs a separate guard
 MAX_TITLE = 127  # characters, of a table
 MONITORED_ALONE = "temperatures monitored individually"
+KEPT = "limited to the difference from these that the recording shows"
 NOT_MONITORED = "temperatures not monitored"
 Fold = tuple[np.ndarray, SensorGuard]  # rows of a group, and the guard that was learnt without them
 
@@ -140,23 +144,31 @@ def choose_guard(judge: GuardReference, scheme: str | None) -> TableGuard:
     if max_count < 2:
         return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
     names = _chosen(judge, held, max_count)
+    others = [n for n in sensors_read(judge.plain, held) if n not in names]
+    free = judge.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
+    kept = tuple(others) if len(names) > 1 and len(others) * NODES_KEPT <= free else ()
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
-        guard, folds = _learnt(held, names, scheme, learn.learn)
+        guard, folds = _learnt(held, names, scheme, partial(learn.learn, others=kept) if kept else learn.learn)
     except DataError as why:
         return _one_by_one(judge, held, str(why), scheme)
-    guard = _with_substitutes(judge, held, guard, folds)
+    guard, accuracy = _with_substitutes(judge, held, guard, folds)
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MAX_COST:
         return _one_by_one(
             judge, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
         )
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
+    document |= {"accuracy": accuracy, "kept_within_K": {s.name: s.within for s in guard.kept}}
     fading = [s.name for s in guard.sensors if not s.stands_in]
-    sentence = f"{len(names)} temperatures are monitored against each other, and replace one that fails"
-    others = [n for n in sensors_read(judge.plain, held) if n not in names]
-    sentence += f"; {len(others)} of less influence are not; the correction fades if one is lost" if others else ""
+    sentence = (
+        f"{len(names)} temperatures are monitored against each other, and replace one that fails{_ranges(accuracy)}"
+    )
+    if others:
+        sentence += f"; {len(others)} of less influence are " + (
+            KEPT if kept else "not; the correction fades if one is lost"
+        )
     sentence += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
     return TableGuard(guard, sentence, document)
 
@@ -192,8 +204,23 @@ def _learnt(
     return guard, []
 
 
-def _with_substitutes(judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
-    """The guard, each sensor with a useful estimate marked: one at a time and in pairs."""
+def _ranges(accuracy: Mapping[str, Mapping[str, float]]) -> str:
+    """How accurate replacements are on left-out groups, in words; every key but K is a component."""
+    units = {name: f"{unit(name)} of {name}" if name != "K" else name for of in accuracy.values() for name in of}
+    ends = {
+        name: (min(of[name] for of in accuracy.values()), max(of[name] for of in accuracy.values())) for name in units
+    }
+    parts = [f"{low:.2g} to {high:.2g} {units[name]}" for name, (low, high) in ends.items()]
+    return f" (rms of a replacement on left-out groups: {', '.join(parts)})"
+
+
+def _with_substitutes(
+    judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
+) -> tuple[SensorGuard, dict[str, dict[str, float]]]:
+    """The guard, each sensor with a useful estimate marked: one at a time and in pairs.
+
+    And per sensor the rms of its replacement on left-out groups, in K and in um (urad) of each component.
+    """
     names, predicted = guard.names(), judge.predicted(judge.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
     for rows, own in folds:
@@ -201,20 +228,20 @@ def _with_substitutes(judge: GuardReference, held: Recording, guard: SensorGuard
             gone[i, j, rows] = shift
     x = {n: held.array(n) for n in names}
 
-    def is_useful(*failed: int) -> bool:
+    def moved(*failed: int) -> dict[str, float]:
         pair = (failed[0], failed[-1]), (failed[-1], failed[0])
         columns = {names[i]: x[names[i]] - gone[i, j] for i, j in pair}
-        return judge.is_useful(
-            judge.rms_difference(judge.predicted(judge.plain, held.with_columns(columns, {})), predicted)
-        )
+        return judge.rms_difference(judge.predicted(judge.plain, held.with_columns(columns, {})), predicted)
 
-    use = [is_useful(i) for i in range(len(names))]
+    alone_moved = [moved(i) for i in range(len(names))]
+    accuracy = {n: {"K": rms(gone[i, i]), **alone_moved[i]} for i, n in enumerate(names)}
+    use = [judge.is_useful(m) for m in alone_moved]
     both = guard.most_failed > 1 and all(
-        is_useful(i, j) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
+        judge.is_useful(moved(i, j)) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
     )
     alone = learn.limits(held, names)  # for a sensor without replacement: a false alarm costs the whole correction
     sensors = tuple(s if u else _alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True))
-    return guard.model_copy(update={"sensors": sensors, "most_failed": 2 if both else 1})
+    return guard.model_copy(update={"sensors": sensors, "most_failed": 2 if both else 1}), accuracy
 
 
 def _alone(sensor: GuardedSensor, limits: GuardedSensor) -> GuardedSensor:

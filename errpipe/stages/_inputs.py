@@ -16,7 +16,7 @@ from errpipe.domain.table_text import AXIS, NAME, text_problem
 from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
 from errpipe.guard import rates
-from errpipe.guard.description import GuardedSensor, SensorGuard
+from errpipe.guard.description import GuardedSensor, KeptSensor, SensorGuard
 from errpipe.guard.detect import FADE_S
 from errpipe.guard.rates import ReadingRate
 from errpipe.tables.turn import TURN
@@ -63,7 +63,7 @@ def table_inputs(
     """
     columns = dict(model.columns)
     _check_names(columns)
-    healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
+    healthy: dict[str, GuardedSensor | KeptSensor] = {s.name: s for s in guard.sensors} if guard is not None else {}
     compared_only = set(healthy) - set(columns)  # for comparison with the others: without them the table goes on
     for name in sorted(compared_only):
         columns[name] = {"role": "temperature", "unit": "degC"}
@@ -71,6 +71,8 @@ def table_inputs(
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     known, silence = _sensor_rates_and_silences(recording) if recording is not None else ({}, {})
     rates = {c.name: known.get(c.name) or _rate_of_step_input(c, model) for c in inputs}
+    if guard is not None:
+        healthy |= {s.name: s for s in guard.kept}
     inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in compared_only else c for c in inputs]
     inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
     unguarded = [c for c in inputs if healthy and c.kind == "sensor" and c.name not in healthy]  # lost, the table fades
@@ -89,14 +91,17 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
     return rates.estimate_rates(short_gaps_held(recording, names)), longest_silence(recording, names)
 
 
-def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | None) -> TableInput:
+def _limited(
+    channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | KeptSensor | None
+) -> TableInput:
     """A channel with what was learnt of its readings; silence: s between two of them; sensor: of a guard."""
     learnt: dict[str, Any] = {} if rate is None else {"max_rate": rate.max_rate, "noise": rate.noise}
     if channel.stale_after_s is not None:
         learnt["stale_after_s"] = max(channel.stale_after_s, silence)
     if sensor is not None:
         learnt |= {"low": sensor.low, "high": sensor.high}
-        learnt["max_rate"] = max(sensor.max_rate, learnt.get("max_rate", 0.0))  # its recording may be a quiet one
+        if isinstance(sensor, GuardedSensor):
+            learnt["max_rate"] = max(sensor.max_rate, learnt.get("max_rate", 0.0))  # its recording may be a quiet one
         learnt["default"] = min(max(channel.default, sensor.low), sensor.high)
     return channel.model_copy(update=learnt)
 

@@ -25,7 +25,7 @@ from errpipe.stages import _artefacts, _readings
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import batch, by_component
 from errpipe.validation import predict as rows
-from errpipe.validation.predict import Begin, Evaluate, Predictor, of_evaluator
+from errpipe.validation.predict import Begin, Evaluate, Evaluated, Predictor, of_evaluator
 
 PLACES = {"position": ("position", "command", "actual"), "direction": ("direction",)}  # input of a table -> roles
 
@@ -164,11 +164,11 @@ def _of_model(model: ErrorModel):
     """
     table = cache(lambda: _compiled(model))
 
-    def values(recording: Recording) -> Mapping[str, np.ndarray]:
+    def values(recording: Recording) -> Evaluated:
         compiled = table()
         if compiled is not None:
-            return table_values(compiled, model, recording)
-        return evaluate(model, recording)
+            return _evaluated(compiled, model, recording)
+        return Evaluated(evaluate(model, recording))
 
     compiled = table()
     return of_evaluator(values, model, None if compiled is None else _begin(compiled, model))
@@ -188,33 +188,34 @@ def _of_table(table: CompensationTable, path: Path):
     if model_file.is_file():
         model = _artefacts.read_model(model_file)
         if jsonfile.fingerprint(_artefacts.model_json(model)) == table.fingerprint:
-            return of_evaluator(lambda recording: table_values(table, model, recording), model, _begin(table, model))
+            return of_evaluator(lambda recording: _evaluated(table, model, recording), model, _begin(table, model))
     bare = ErrorModel(components=())
     seen = Validity(ranges={i.name: i.valid for i in table.inputs if i.valid is not None})
     names = tuple(o.name for o in by_component(table).outputs)
-    return Predictor(lambda recording: table_values(table, bare, recording), names, seen, begin=_begin(table, bare))
+    return Predictor(lambda recording: _evaluated(table, bare, recording), names, seen, begin=_begin(table, bare))
 
 
 def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
-    """Begins a run that comes in parts; its evaluator gives for them what `table_values` gives for the whole."""
+    """Begins a run that comes in parts; its evaluator gives for them what `_evaluated` gives for the whole."""
     packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))
 
     def begin(rows: int) -> Evaluate:
         replay, count, first = packed(batch.worth_compiling(rows)).restarted(), 0, dict[str, float]()
 
-        def values(part: Recording) -> Mapping[str, np.ndarray]:
+        def values(part: Recording) -> Evaluated:
             nonlocal count
             rows, timed = len(part), part.name("time") is not None
             columns = {i.name: part.array(i.name) for i in table.inputs if i.name in part}
-            deviations = replay(columns, part.time() if timed else part.time() + count, np.zeros(rows)).deviation
+            replayed = replay(columns, part.time() if timed else part.time() + count, np.zeros(rows))
+            deviations, outside = replayed.deviation, replayed.outside()
             count += rows
             if model.datum != "run_start":
-                return deviations
+                return Evaluated(deviations, outside)
             for name, deviation in deviations.items():
                 known = deviation[np.isfinite(deviation)]
                 if known.size:
                     first.setdefault(name, known[0])
-            return {name: deviation - first.get(name, np.nan) for name, deviation in deviations.items()}
+            return Evaluated({name: v - first.get(name, np.nan) for name, v in deviations.items()}, outside)
 
         return values
 
@@ -223,11 +224,17 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
 
 def table_values(table: CompensationTable, model: ErrorModel, recording: Recording) -> Mapping[str, np.ndarray]:
     """Deviations by component from a causal replay of the table, counted from where the model's datum is."""
+    return _evaluated(table, model, recording).values
+
+
+def _evaluated(table: CompensationTable, model: ErrorModel, recording: Recording) -> Evaluated:
+    """`table_values`, and where the table says that a row is outside."""
     columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording}
     replay = batch.evaluate(by_component(table), columns, recording.time(), sessions(recording))
     if model.datum == "run_start":
-        return {name: from_run_start(recording, values) for name, values in replay.deviation.items()}
-    return replay.deviation
+        values = {name: from_run_start(recording, values) for name, values in replay.deviation.items()}
+        return Evaluated(values, replay.outside())
+    return Evaluated(replay.deviation, replay.outside())
 
 
 def refuse_others(source: ErrorModel | CompensationTable, manifest: Manifest) -> None:

@@ -23,8 +23,6 @@ from errpipe.errors import DataError
 from errpipe.fitting.validity import LONGEST_HELD, distance
 
 _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
-Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]
-Begin = Callable[[int], Evaluate]
 INPUTS = (
     *("position", "command", "velocity", "acceleration", "feed", "spindle_speed", "temperature", "pressure"),
     *("humidity", "force", "load", "depth_of_cut", "overhang", "cut_length", "coolant", "direction"),
@@ -33,10 +31,24 @@ INPUTS = (
 
 
 @dataclass(frozen=True)
+class Evaluated:
+    """Component -> deviation, (rows,). outside: True where a table says that it fades, lacks an input or is beyond a
+    profile, (rows,); None if no table was evaluated: then rows outside the validity range are.
+    """
+
+    values: Mapping[str, np.ndarray]
+    outside: np.ndarray | None = None
+
+
+Evaluate = Callable[[Recording], Evaluated]
+Begin = Callable[[int], Evaluate]
+
+
+@dataclass(frozen=True)
 class Predictor:
     """A source of deviations for the rows of one run: a fitted model, a compiled table.
 
-    evaluate: recording of one run -> component -> deviation, (rows,). half_width90: component -> half width of the
+    evaluate: recording of one run -> deviations of its rows. half_width90: component -> half width of the
     90 % interval inside the validity range; widening90: added per range width outside; growth90: relative increase
     per unit predicted; factor90: its factor from the inputs. begin: from the number of available rows, the evaluator of
     a run that arrives in parts, in order; None if only whole runs can be evaluated.
@@ -68,7 +80,7 @@ class Predictor:
 def of_model(model: ErrorModel) -> Predictor:
     from errpipe.fitting.components import evaluate  # a table needs no solver
 
-    return of_evaluator(lambda recording: evaluate(model, recording), model)
+    return of_evaluator(lambda recording: Evaluated(evaluate(model, recording)), model)
 
 
 def of_evaluator(evaluator: Evaluate, model: ErrorModel, begin: Begin | None = None) -> Predictor:
@@ -91,8 +103,9 @@ def predict(
     """One row per row of the recording, in order: run, time, and four columns per response.
 
     NAME_predicted, NAME_lower, NAME_upper (90 %, empty where nothing is predicted, and where an input of a model that
-    does not widen it outside the range is missing), in the response's unit, and NAME_outside (1 outside the validity
-    range). NAME is the response's column, or the component if the recording has no such response. silent: takes the
+    does not widen it outside the range is missing), in the response's unit, and NAME_outside (1 where the table fades,
+    lacks an input or is beyond a profile, or an input has had no reading for too long; of a model without a table, 1
+    outside the validity range). NAME is the response's column, or the component if the recording has no such response. silent: takes the
     number of rows without a reading, or with a stale one, of each affected input of the range. Raises DataError
     if the recording lacks a column that the model needs.
     """
@@ -135,7 +148,7 @@ def _frames(
         _all_there(source, part)
         values = {c: np.zeros(len(part)) for c in source.components}
         half = {c: np.full(len(part), np.nan) for c in source.components}
-        far = np.zeros(len(part))
+        far, outside = np.zeros(len(part)), np.zeros(len(part), dtype=bool)
         codes, labels = part.run_codes(), part.run_labels()
         for code, rows in _rows_by_run(codes):
             label = labels[code] if code >= 0 else ""
@@ -148,7 +161,9 @@ def _frames(
                 if missing := int(np.count_nonzero(np.isnan(lately.array(name)))):
                     silent[name] = silent.get(name, 0) + missing
             ever, now = _inputs_known(source, kept), _inputs_known(source, lately)
-            for component, match in run.evaluate(kept).items():
+            evaluated = run.evaluate(kept)
+            outside[rows] = far[rows] > 0 if evaluated.outside is None else evaluated.outside | ~_read(source, lately)
+            for component, match in evaluated.values.items():
                 values[component][rows] = match
                 if component in source.half_width90:
                     predicted = np.where(np.isfinite(match), match, 0.0)
@@ -156,15 +171,18 @@ def _frames(
                     known = ever if source.widening90.get(component) else now
                     # a table returns 0 if an input never had a value, which is no prediction
                     half[component][rows] = np.where(known & np.isfinite(match), width, np.nan)
-        frame = _frame(source, part, values, half, far)
+        frame = _frame(source, part, values, half, outside)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
         before += len(part)
 
 
 def _inputs_known(source: Predictor, kept: Recording) -> np.ndarray | bool:
-    """Rows on which every input of the validity range has a value, (rows,); needed for an interval only."""
-    if not source.half_width90:
-        return True
+    """As `_read`; needed for an interval only."""
+    return _read(source, kept) if source.half_width90 else True
+
+
+def _read(source: Predictor, kept: Recording) -> np.ndarray:
+    """Rows on which every input of the validity range has a value, (rows,)."""
     return np.isfinite(sum((kept.array(n) for n in source.validity.ranges), np.zeros(len(kept))))
 
 
@@ -247,7 +265,7 @@ def _frame(
     recording: Recording,
     values: Mapping[str, np.ndarray],
     half: Mapping[str, np.ndarray],
-    far: np.ndarray,
+    outside: np.ndarray,
 ) -> pd.DataFrame:
     labels = pd.array(list(recording.run_labels()), dtype="str").take(recording.run_codes())
     out: dict[str, Any] = {"run": labels, "time": recording.time()}
@@ -258,5 +276,5 @@ def _frame(
         out[f"{name}_predicted"] = predicted
         out[f"{name}_lower"] = predicted - half[component]
         out[f"{name}_upper"] = predicted + half[component]
-        out[f"{name}_outside"] = ((far > 0) | silent).astype(int)
+        out[f"{name}_outside"] = (outside | silent).astype(int)
     return pd.DataFrame(out, copy=False)

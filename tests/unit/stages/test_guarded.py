@@ -81,6 +81,35 @@ def test_a_failed_sensor_is_stood_in_for(watched, way):
     assert guarded < 0.7 * bare
 
 
+def nine(runs: int, seed: int) -> Recording:
+    """`measured`, with three further sensors between others, which the deviation follows too."""
+    rows, rng = measured(runs, seed), np.random.default_rng(seed)
+    x = {n: rows.array(n) for n in sensors.NAMES}
+    pairs = {"T_7": ("T_bearing", "T_housing"), "T_8": ("T_motor", "T_column"), "T_9": ("T_bed", "T_room")}
+    more = {n: (x[a] + x[b]) / 2 + 0.05 * rng.standard_normal(len(rows)) for n, (a, b) in pairs.items()}
+    y = rows.array("E_Z") + sum(0.3 * (v - 20.0) for v in more.values())
+    role = Column(role="temperature", unit="degC")
+    return rows.with_columns(more | {"E_Z": y}, dict.fromkeys(more, role))
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan, 35.0])
+def test_a_sensor_beyond_those_compared_is_kept_consistent_with_them(wrong):
+    rows = nine(8, 5)
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
+    judge = judged(rows, model)
+    found = _guarded.choose_guard(judge, None)
+    assert len(found.guard.sensors) == 6 and len(found.guard.kept) == 3
+    table, fresh = judge.compiled(found.guard), nine(4, 6)
+    healthy, late = table_values(table, model, fresh)["E_Z"], fresh.time() >= 7200.0
+    assert np.sqrt(np.mean((healthy - table_values(judge.plain, model, fresh)["E_Z"]) ** 2)) < 0.1
+    for name in found.guard.kept_names():
+        failed = fresh.with_columns({name: np.where(late, wrong, fresh.array(name))}, {})
+        assert np.std(table_values(table, model, failed)["E_Z"] - healthy) < 0.1 * np.std(healthy)
+    free = in_table.without_guard(table)
+    assert len(free.nodes) == len(judge.plain.nodes)
+    assert np.array_equal(table_values(free, model, fresh)["E_Z"], table_values(judge.plain, model, fresh)["E_Z"])
+
+
 def test_a_table_without_its_guard_is_the_plain_one(watched):
     rows, model, judge, found = watched
     table = judge.compiled(found.guard)
@@ -236,15 +265,19 @@ def test_a_sensor_that_is_late_at_the_start_does_not_delay_the_others() -> None:
     assert np.abs(guarded - plain)[known].max() < 1.0  # T_bed's own rise is estimated
 
 
-def test_what_a_late_sensor_missed_is_estimated_from_the_others() -> None:
+@pytest.mark.parametrize("by", [learn.learn, learn.limits])
+def test_what_a_late_sensor_missed_is_estimated_from_the_starts_of_others(by) -> None:
     rows = measured(8, 5)
     model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
-    late = rows.with_columns({"T_housing": np.where(rows.time() < 2400.0, np.nan, rows.array("T_housing"))}, {})
-    tables = [compile_model(model, CompileOptions(), g, rows) for g in (None, learn.learn(rows))]
+    tables = [compile_model(model, CompileOptions(), g, rows) for g in (None, by(rows, sensors.NAMES))]
     whole = table_values(tables[0], model, rows)["E_Z"]
-    known = rows.time() >= 2400.0
-    off, mended = (np.abs(table_values(t, model, late)["E_Z"] - whole)[known].mean() for t in tables)
-    assert mended < 0.5 * off
+    for name, since in (("T_housing", 2400.0), ("T_bearing", 900.0)):
+        late = rows.with_columns({name: np.where(rows.time() < since, np.nan, rows.array(name))}, {})
+        known = rows.time() >= since
+        off, mended = (np.abs(table_values(t, model, late)["E_Z"] - whole)[known].mean() for t in tables)
+        assert mended < 0.5 * off, (name, mended, off)
+        free = in_table.without_guard(tables[1])
+        assert np.array_equal(table_values(free, model, late)["E_Z"], table_values(tables[0], model, late)["E_Z"])
     assert np.array_equal(table_values(tables[1], model, rows)["E_Z"], whole)
 
 

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +10,7 @@ from errpipe.errors import DataError
 from errpipe.fitting.components import evaluate
 from errpipe.fitting.model import ModelSpec, fit
 from errpipe.simulation import spindle_drift
-from errpipe.validation.predict import of_model, predict, predict_parts
+from errpipe.validation.predict import Evaluated, of_model, predict, predict_parts
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +91,7 @@ def test_a_sensor_that_is_logged_now_and_then_is_known_in_between_and_one_that_s
     inside = np.flatnonzero(first & (outside == 0))
     assert set(range(8, 73)) <= set(inside) and inside.max() == 72
     cut = [0, 1, 2, 9, 10, 33, 61, 70, len(frame)]
-    source = replace(of_model(model), begin=lambda _: partial(evaluate, model))
+    source = replace(of_model(model), begin=lambda _: lambda part: Evaluated(evaluate(model, part)))
     parts = [everything.take(slice(a, b)) for a, b in pairwise(cut)]
     in_parts = pd.concat(predict_parts(source, parts))["E_Z_outside"].to_numpy()
     np.testing.assert_array_equal(in_parts, outside)
