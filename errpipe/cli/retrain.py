@@ -47,7 +47,7 @@ def command(
         [], "--allow-sensor", metavar="COLUMN", help="Input that the challenger may newly require."
     ),
     annotations: str = typer.Option(
-        "none", "--annotations", metavar="none|github", help="Report failed gates as commands of GitHub workflows."
+        "none", "--annotations", metavar="HOW", help="github: failed gates as annotations."
     ),
     sets: list[str] = Sets,
     json: bool = Json,
