@@ -30,12 +30,7 @@ def command(
     champion: Path = typer.Option(..., "--champion", metavar="DIR", help="Run folder of the champion."),
     out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder of the challenger and of the decision."),
     alpha: float = typer.Option(
-        0.05,
-        "--alpha",
-        metavar="P",
-        min=1e-9,
-        max=0.5,
-        help="Probability of ever promoting a challenger that is no better.",
+        0.05, "--alpha", metavar="P", min=1e-9, max=0.5, help="Risk of ever promoting a challenger that is no better."
     ),
     max_change_um: float | None = typer.Option(
         None, "--max-change-um", metavar="UM", min=0.0, help="Largest change of the correction."
@@ -46,9 +41,7 @@ def command(
     allow_sensor: list[str] = typer.Option(
         [], "--allow-sensor", metavar="COLUMN", help="Input that the challenger may newly require."
     ),
-    annotations: str = typer.Option(
-        "none", "--annotations", metavar="none|github", help="Report failed gates as commands of GitHub workflows."
-    ),
+    annotations: str = typer.Option("none", "--annotations", metavar="HOW", help="github: annotate failed gates."),
     sets: list[str] = Sets,
     json: bool = Json,
 ) -> None:

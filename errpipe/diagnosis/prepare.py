@@ -66,8 +66,8 @@ def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
         except DataError as err:
             refused.append(str(err))
     if not accepted:
-        why = "".join(f"\n  {line}" for line in refused)
-        raise DataError(f"diagnose: no pair of responses (a simulation in a file of its own: --simulation FILE){why}")
+        head = "diagnose: no pair of responses (a simulation in a file of its own: --simulation FILE)"
+        raise DataError("\n  ".join([head, *refused]))
     return accepted, refused
 
 

@@ -143,9 +143,7 @@ def _surrogate_test(case: Case, f: Finding, whole: significance.SurrogateTest) -
         return {}
     chance = significance.surrogate_test(case, place[0], whole=whole)
     what = "none" if chance.p * (significance.SURROGATES + 1) < 1.5 else f"{chance.p:.0%}"
-    says = (
-        f" Of {significance.SURROGATES} surrogates without an effect, {what} gave such evidence (p = {chance.p:.2g})."
-    )
+    says = f" Of {significance.SURROGATES} surrogates without effect, {what} gave such evidence (p = {chance.p:.2g})."
     return {"p_search": chance.p, "says": f.says + says}
 
 
