@@ -105,9 +105,9 @@ def predict(
     NAME_predicted, NAME_lower, NAME_upper (90 %, empty where nothing is predicted, and where an input of a model that
     does not widen it outside the range is missing), in the response's unit, and NAME_outside (1 where the table fades,
     lacks an input or is beyond a profile, or an input has had no reading for too long; of a model without a table, 1
-    outside the validity range). NAME is the response's column, or the component if the recording has no such response. silent: takes the
-    number of rows without a reading, or with a stale one, of each affected input of the range. Raises DataError
-    if the recording lacks a column that the model needs.
+    outside the validity range). NAME is the response's column, or the component if the recording has no such response.
+    silent: takes the number of rows without a reading, or with a stale one, of each affected input of the range.
+    Raises DataError if the recording lacks a column that the model needs.
     """
     source = of_model(model) if isinstance(model, ErrorModel) else model
     (frame,) = _frames(source, [recording], lambda _: source.evaluate, silent)
