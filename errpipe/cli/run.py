@@ -77,9 +77,9 @@ def command(
 
 
 def _entry_text(key: str, value: str) -> str:
-    """An entry of a stage's summary in words: a key that ends in `_um` brings its unit."""
-    name = key.removesuffix("_um")
-    return f"{key} {value}" if name == key else f"{name.replace('_', ' ')} {value} um"
+    """An entry of a stage's summary in words: a key that ends in `_um` or `_urad` brings its unit."""
+    name, _, unit = key.rpartition("_")
+    return f"{name.replace('_', ' ')} {value} {unit}" if unit in ("um", "urad") else f"{key} {value}"
 
 
 def _run(

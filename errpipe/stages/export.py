@@ -98,7 +98,8 @@ class Export(CompileOptions, SignOptions, Stage):
         document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
-        summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
+        unit = "urad" if {p["unit"] for p in proof} == {"urad"} else "um"
+        summary = {"table": _artefacts.TABLE, f"largest_difference_from_the_model_{unit}": worst}
         summary |= {"guard": chosen.sentence} if chosen is not None else {}
         worse = ". ".join(dict.fromkeys(sentence for row in files for sentence in row.get("worse", ())))
         summary |= {"worse": worse} if worse else {}

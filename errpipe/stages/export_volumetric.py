@@ -103,7 +103,7 @@ class ExportVolumetric(SignOptions, Stage):
         return {**figures, **({"worse": worse} if worse else {})}
 
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
-        """Linear axes that the table corrects. Raises GateError if one may get worse, UsageError without one."""
+        """Linear axes that a table corrects. Raises UsageError without one, GateError if the machine may get worse."""
         from errpipe.validation import machine
 
         if not chain.machine.correcting_axes():

@@ -41,7 +41,7 @@ def refuse(findings: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
             "export: refused, because the correction would follow a declaration that cannot be right:\n"
             + "\n".join(f"  {f}" for f in refused)
             + f"\nCorrect the declaration, or allow it by name where it is true: export: {{allow: [{names}]}}"
-            " (errpipe explain NAME explains it). Nothing was exported."
+            ", or --allow NAME of `errpipe export` (errpipe explain NAME explains it). Nothing was exported."
         )
     return [f"Allowed by name: {f}" if f.level == "refuse" else f"Check: {f}" for f in findings]
 

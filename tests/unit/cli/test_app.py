@@ -160,6 +160,7 @@ def test_a_summary_says_its_unit() -> None:
     assert (
         _entry_text("largest_difference_from_the_model_um", "0.0051") == "largest difference from the model 0.0051 um"
     )
+    assert _entry_text("largest_difference_urad", "0.09") == "largest difference 0.09 urad"
     assert _entry_text("E_Z", "24 -> 3 um") == "E_Z 24 -> 3 um"  # a component keeps its name
 
 

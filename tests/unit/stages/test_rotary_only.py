@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -53,3 +55,18 @@ def test_errors_of_an_index_table_are_identified_and_no_table_is_exported(tmp_pa
     volumetric = jsonfile.read(tmp_path / "out/identify/identification.json")["volumetric"]
     assert volumetric["axes"] == {} and volumetric["rms_um"] > 0.0
     assert not list((tmp_path / "out").glob("export_volumetric/*.ect"))
+
+
+def test_a_table_of_a_rotary_axis_differs_from_its_model_by_an_angle(tmp_path) -> None:
+    (tmp_path / "c").mkdir()
+    columns = "  c: {role: position, axis: C, unit: deg}\n  e: {role: error, component: ECC, unit: urad}\n"
+    (tmp_path / "c/recording.yaml").write_text(f"recording: 1\ntables: [c.csv]\ncolumns:\n{columns}")
+    c = np.tile(np.arange(0.0, 361.0, 10.0), 2)
+    rows = np.column_stack([c, 20 * np.sin(np.radians(c))])
+    np.savetxt(tmp_path / "c/c.csv", rows, fmt="%.4g", delimiter=",", header="c,e", comments="")
+    stages = "  - {kind: ingest, recording: c}\n  - kind: fit\n    components:\n"
+    stages += "      - {component: ECC, terms: [{term: measured_points, axis: C}]}\n  - {kind: export, ungated: true}\n"
+    (tmp_path / "p.yaml").write_text(f"pipeline: 1\ntitle: index table\nstages:\n{stages}")
+    done = CliRunner().invoke(app, ["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")])
+    (line,) = [line for line in done.output.splitlines() if "largest difference from the model" in line]
+    assert re.search(r"largest difference from the model \S+ urad,", line)

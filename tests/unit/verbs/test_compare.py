@@ -16,6 +16,7 @@ from errpipe.domain.diagnosis import Diagnosis, Finding, HoldOutFigures, Respons
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
 from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ect
+from errpipe.verbs import compare as verb
 from tests.e2e.retrain.test_retrain import PIPELINE, record
 from tests.unit.targets import machines
 
@@ -238,3 +239,9 @@ def test_two_retrainings_and_two_fleets_are_compared_by_their_runs(tmp_path: Pat
     assert list(answer["machines"]) == ["m2"] and answer["machines"]["m2"]["largest_um"] == whole[1]["largest_um"]
     assert main(["compare", str(tmp_path), str(tmp_path)]) == 3
     assert "without errpipe.lock, recording.yaml, fleet.json, export.json or retrain.json" in capsys.readouterr().err
+
+
+def test_the_rounding_of_a_grids_end_is_no_difference_of_validity() -> None:
+    out = verb.Comparison("table")
+    verb._ranges(out, {"Z": (-500.0, 5.7e-14), "X": (0.0, 5.7e-14)}, {"Z": (-500.0, 0.0), "X": (0.0, 8.0)})
+    assert out.lines == ["validity of X: 0 .. 0 -> 0 .. 8"]
