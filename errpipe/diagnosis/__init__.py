@@ -80,7 +80,7 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
             shares[k] = share
             progress(sum(shares) / len(pairs), text)
 
-        case = judge.diagnose_response(recording, prepare.followed(recording, conditioned, pair), pair, done)
+        case = judge.diagnose(recording, prepare.followed(recording, conditioned, pair), pair, done)
         done(0.8, f"{pair.component}: validating on held-out rows")
         response, contribution, residual = report.response(case)
         response = empirical.with_equation(case, response)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import ActiveColumns, Scene, ScoredHypotheses
+from errpipe.diagnosis.evidence import ActiveSet, Scene, ScoredHypotheses
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 
@@ -25,7 +25,7 @@ class AdmittedShapes:
     shapes: tuple[tuple[Shape, float], ...]
     rms: float
     share: float
-    active: ActiveColumns  # nuisances, hypotheses, shapes, in this order
+    active: ActiveSet  # nuisances, hypotheses, shapes, in this order
     taken: tuple[int, ...]
 
 

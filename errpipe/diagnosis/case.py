@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.diagnosis import admit, hypotheses
 from errpipe.diagnosis import decompose as parts
-from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene
+from errpipe.diagnosis.evidence import ActiveSet, Data, Scene
 from errpipe.diagnosis.gains import Nuisance
 from errpipe.diagnosis.left_out import LeftOut
 from errpipe.diagnosis.prepare import Pair
@@ -32,7 +32,7 @@ class SetUp:
     run: np.ndarray
     data: Data
     prior: np.ndarray  # log prior odds of each hypothesis
-    nuisance: ActiveColumns
+    nuisance: ActiveSet
     nuisances: list[Nuisance]  # what each column represents
     recal: np.ndarray  # the nuisances' columns before whitening
     sizes: np.ndarray  # rms of the signal part of each; a coefficient divided by it is gain - 1
@@ -91,7 +91,7 @@ def needs_recalibration(case: Case) -> bool:
     full = case.search.active(case.chosen())
     kept = np.ones(full.index.size, dtype=bool)
     kept[: len(case.nuisances)] = [n.kind == "noise" for n in case.nuisances]
-    scene = Scene(case.search.data, ActiveColumns(full.index[kept], full.sd[kept]), case.search.noise)
+    scene = Scene(case.search.data, ActiveSet(full.index[kept], full.sd[kept]), case.search.noise)
     datum, gains = (case.nuisance.index[own] for own in np.array([(n.is_datum, n.is_gain) for n in case.nuisances]).T)
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import SIZES, ActiveColumns, Data, Scene, textbook_penalty, textbook_share
+from errpipe.diagnosis.evidence import SIZES, ActiveSet, Data, Scene, textbook_penalty, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
 
@@ -255,7 +255,7 @@ class _Work:
     def _scene(self, chosen: Chosen) -> Scene:
         index = [np.array([self.library.datum]), *(self.library.places[i] for i, _ in chosen)]
         sd = [np.array([np.inf]), *(size * self.sigma * self.freedom[i] for i, size in chosen)]
-        return Scene(self.data, ActiveColumns(np.concatenate(index), np.concatenate(sd)), self.sigma)
+        return Scene(self.data, ActiveSet(np.concatenate(index), np.concatenate(sd)), self.sigma)
 
     def _worth(self, chosen: Chosen) -> float:
         scene = self._scene(chosen)

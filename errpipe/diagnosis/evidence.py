@@ -201,15 +201,15 @@ class Data:
 
 
 @dataclass(frozen=True)
-class ActiveColumns:
+class ActiveSet:
     """Columns in use: indices into the table and the prior standard deviation of each (inf: free)."""
 
     index: np.ndarray
     sd: np.ndarray
 
-    def plus(self, index: np.ndarray, sd: np.ndarray) -> ActiveColumns:
+    def plus(self, index: np.ndarray, sd: np.ndarray) -> ActiveSet:
         """These and further columns."""
-        return ActiveColumns(np.concatenate([self.index, index]), np.concatenate([self.sd, sd]))
+        return ActiveSet(np.concatenate([self.index, index]), np.concatenate([self.sd, sd]))
 
 
 class ScoredHypotheses:
@@ -254,7 +254,7 @@ class ScoredHypotheses:
 class Scene:
     """A signal with some active columns: coefficients, residual, and log Bayes factors of further hypotheses."""
 
-    def __init__(self, data: Data, active: ActiveColumns, sigma: float):
+    def __init__(self, data: Data, active: ActiveSet, sigma: float):
         self.table, self.data, self.active, self.sigma = data.table, data, active, sigma
         self.n = data.n
         i = active.index

@@ -63,7 +63,7 @@ def totals(nuisances: list[Nuisance], sizes: np.ndarray) -> tuple[list[Nuisance]
     return [nuisances[j] for j in parts], rows
 
 
-def gain_limit_penalty(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tuple[float, np.ndarray]:
+def penalty(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tuple[float, np.ndarray]:
     """Log evidence that a scene would lose if its gains were kept within the limits, and which gains exceed them.
 
     The scene's first active columns are the nuisances that `rows` belong to.

@@ -10,7 +10,7 @@ import numpy as np
 
 from errpipe.diagnosis import admit
 from errpipe.diagnosis.case import Case
-from errpipe.diagnosis.evidence import ActiveColumns
+from errpipe.diagnosis.evidence import ActiveSet
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
@@ -134,7 +134,7 @@ def _without_fold(search: Search, fold: int) -> Search:
     return part
 
 
-def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[ActiveColumns, np.ndarray]:
+def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[ActiveSet, np.ndarray]:
     """Nuisances and textbook forms only, without the departures a part may have: their columns.
 
     Offsets of single runs cannot be predicted for a held-out run.

@@ -13,11 +13,11 @@ from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial,
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
-from errpipe.diagnosis.evidence import ActiveColumns, Data
+from errpipe.diagnosis.evidence import ActiveSet, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out, zeroed_at_starts
 from errpipe.diagnosis.own_noise import DEPENDENT, needs_noise_model, only_noise, refined, rounded, with_noise_model
 from errpipe.diagnosis.prepare import Pair
-from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, search_with_noise_level
+from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, converged
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
@@ -87,9 +87,7 @@ def _least_size(library, i: int, held: parts.Decomposition) -> float:
     return MIN_SHARE_OF_PART * max(sizes, default=0.0)
 
 
-def diagnose_response(
-    raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None
-) -> Case:
+def diagnose(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
     """Explain one response; its outliers are then removed, and it is explained again."""
     case = _judge(raw, conditioned, pair, progress)
     outlying = _isolated_outliers(residual(case))
@@ -221,7 +219,7 @@ def _without(made: SetUp, m: model.FittedFinding) -> Case:
 
 
 def _settled(made: SetUp) -> tuple[Search, Explanation]:
-    return search_with_noise_level(made.library, made.data, made.nuisance, made.prior, made.noise_estimate)
+    return converged(made.library, made.data, made.nuisance, made.prior, made.noise_estimate)
 
 
 def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> SetUp:
@@ -300,7 +298,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
 
 def _with_dependent_rows(
     made: SetUp, search: Search, explanation: Explanation
-) -> tuple[Search, Explanation, ActiveColumns]:
+) -> tuple[Search, Explanation, ActiveSet]:
     """If the residual is autocorrelated: an effective number of rows, and a wider prior on the gains.
 
     The effective number comes from the best single effect's residual: two effects may overfit.
@@ -310,13 +308,13 @@ def _with_dependent_rows(
     if time <= DEPENDENT:
         return search, explanation, nuisance
     worth = max(run.size / time, 30.0)
-    single, one = search_with_noise_level(library, made.data, nuisance, search.prior, noise, worth, most=1)
+    single, one = converged(library, made.data, nuisance, search.prior, noise, worth, most=1)
     left = single.scene(one.chosen()).residual()
     if not (_explains_share(search, explanation, noise) and not _explains_share(single, one, noise, 0.75)):
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
-        search, explanation = search_with_noise_level(library, made.data, nuisance, search.prior, noise, worth)
-    wide = ActiveColumns(nuisance.index, nuisance.sd * np.where([n.is_gain for n in made.nuisances], WIDE, 1.0))
-    other, wide_gains = search_with_noise_level(library, made.data, wide, search.prior, noise, worth, weighed=False)
+        search, explanation = converged(library, made.data, nuisance, search.prior, noise, worth)
+    wide = ActiveSet(nuisance.index, nuisance.sd * np.where([n.is_gain for n in made.nuisances], WIDE, 1.0))
+    other, wide_gains = converged(library, made.data, wide, search.prior, noise, worth, weighed=False)
     chosen = [e.chosen() for e in (explanation, wide_gains)]
     if search.rows:
         narrow, proved = (made.judged().of_explanation(*way) for way in ((search, chosen[0]), (other, chosen[1])))
@@ -328,20 +326,14 @@ def _with_dependent_rows(
 
 
 def favours_session_datums(
-    each_datum: ActiveColumns,
-    nuisance: ActiveColumns,
-    library,
-    data: Data,
-    prior,
-    noise_estimate: float,
-    run: np.ndarray,
+    each_datum: ActiveSet, nuisance: ActiveSet, library, data: Data, prior, noise_estimate: float, run: np.ndarray
 ) -> bool:
     """Is the best explanation likelier with a datum for each session than the best one with a single datum?
 
     The evidence penalises each datum. The effective number of rows comes from the residual with all datums fitted.
     """
     nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
-    both = [search_with_noise_level(library, data, n, prior, noise_estimate) for n in nuisances]
+    both = [converged(library, data, n, prior, noise_estimate) for n in nuisances]
     scenes = [s.scene(e.chosen()) for s, e in both]
     worth = max(run.size / correlation_time(scenes[0].residual(), run), 30.0)
     with_each, with_one = (

@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 
 from errpipe.diagnosis.admit import AdmittedShapes
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import ActiveColumns, Data
+from errpipe.diagnosis.evidence import ActiveSet, Data
 from errpipe.diagnosis.gains import Nuisance
 from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
@@ -61,13 +61,13 @@ class LeftOut:
             out.append(inside[ZEROED:] - inside[:ZEROED].mean())
         return np.concatenate(out)
 
-    def left(self, data: Data, active: ActiveColumns, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
+    def left(self, data: Data, active: ActiveSet, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
         """Residual on this fold's rows of a fit to `data` without the fold."""
         test = self.library.table.rows[fold]
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return self.zeroed(self.y[test] - columns[test] @ b, test)
 
-    def whitened(self, data: Data, active: ActiveColumns, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
+    def whitened(self, data: Data, active: ActiveSet, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
         """As `left`, each row minus the noise predicted from its neighbours."""
         if self.session is not None:
             return self.left(data, active, sigma, columns, fold)
@@ -75,7 +75,7 @@ class LeftOut:
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return whiten(self.y - columns @ b, table.run, table.colour)[table.rows[fold]]
 
-    def mean_square(self, data: Data, active: ActiveColumns, sigma: float, columns: np.ndarray) -> float:
+    def mean_square(self, data: Data, active: ActiveSet, sigma: float, columns: np.ndarray) -> float:
         """Mean square of the cross-validation residual over the folds of `data`."""
         folds = [f for f, rows in enumerate(self.library.table.rows) if f != data.without and rows.size]
         return float(np.mean(np.concatenate([self.whitened(data, active, sigma, columns, f) for f in folds]) ** 2))
@@ -86,7 +86,7 @@ class LeftOut:
         return self.mean_square(search.data, search.active(chosen), search.noise, columns)
 
 
-def coefficients(data: Data, active: ActiveColumns, sigma: float, without: int | None) -> np.ndarray:
+def coefficients(data: Data, active: ActiveSet, sigma: float, without: int | None) -> np.ndarray:
     """Posterior mean of the active columns' coefficients, with one more fold held out."""
     table, i = data.table, active.index
     G, s = table.products(i, i, data.without), data.products()[i]
@@ -100,7 +100,7 @@ def coefficients(data: Data, active: ActiveColumns, sigma: float, without: int |
 
 def datums(
     recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray, few: bool
-) -> tuple[ActiveColumns, np.ndarray, list[Nuisance]] | None:
+) -> tuple[ActiveSet, np.ndarray, list[Nuisance]] | None:
     """A datum for each session, for an instrument that is zeroed whenever the machine is started: columns in the
     library with their freedom, the same before whitening, their meaning. None if there are too few starts.
 
@@ -116,7 +116,7 @@ def datums(
     sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
     labels = [recording.run_labels()[r] for r in recording.run_codes()[rows[first]]]
     each = [Nuisance("session datum", f"datum of run {label}") for label in labels]
-    return ActiveColumns(library.table.add(columns), sd), columns, each
+    return ActiveSet(library.table.add(columns), sd), columns, each
 
 
 def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:

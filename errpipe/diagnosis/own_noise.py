@@ -11,7 +11,7 @@ from errpipe.diagnosis import admit, coloured
 from errpipe.diagnosis.case import Case, SetUp, residual, residual_of_chosen
 from errpipe.diagnosis.evidence import Data, Scene
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
-from errpipe.diagnosis.search import MISSING, Explanation, Search, search_with_noise_level
+from errpipe.diagnosis.search import MISSING, Explanation, Search, converged
 from errpipe.fitting.noise_floor import rounding, with_steps
 from errpipe.terms import search_of
 
@@ -53,9 +53,7 @@ def with_noise_model(made: SetUp, search: Search, explanation: Explanation) -> t
     for colour in dict.fromkeys(coloured.fitted(rest, made.run) for rest in (*left, unnamed)):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
-        found, names = refined(
-            made, *search_with_noise_level(library, made.data, made.nuisance, made.prior, made.noise_estimate)
-        )
+        found, names = refined(made, *converged(library, made.data, made.nuisance, made.prior, made.noise_estimate))
         wandering = max(wandering, likelihood(found, []))
         worth = max(likelihood(found, names.chosen()), _shaped(made, found)[0])
         best = max(best, (worth, colour, found, names), key=lambda t: t[0])

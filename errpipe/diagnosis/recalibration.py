@@ -9,10 +9,10 @@ import numpy as np
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import ActiveColumns, Data
+from errpipe.diagnosis.evidence import ActiveSet, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.left_out import LeftOut
-from errpipe.diagnosis.search import MISSING, Explanation, Search, search_with_noise_level
+from errpipe.diagnosis.search import MISSING, Explanation, Search, converged
 from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain - 1 (usual: 0..15 %)
@@ -53,11 +53,7 @@ def missing_beyond_gains(
     one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
     every = any(n.kind == "noise" for n in nuisances)
     every = every or (not explanation.accepted and odds.min() > 0 and odds.sum() >= ALL_ONE)
-    suspect = (
-        [held[off]]
-        if one
-        else [n for n, far in zip(held, gains.gain_limit_penalty(scene, rows)[1], strict=False) if far]
-    )
+    suspect = [held[off]] if one else [n for n, far in zip(held, gains.penalty(scene, rows)[1], strict=False) if far]
     suspect = held if every else suspect
     if not (every or (len(held) > 1 and suspect)) or not (one or search.weighed):  # held-out rows confirmed wide gains
         return None
@@ -68,9 +64,9 @@ def missing_beyond_gains(
     )
     prior = np.where(own, [h.prior for h in search.library.hypotheses], search.prior)
     exactly = np.array([n.is_gain and (one or every or n.part in labels) for n in nuisances])
-    exact = ActiveColumns(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
+    exact = ActiveSet(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
     known = (noise, search.rows)
-    other, named = search_with_noise_level(search.library, search.data, exact, prior, *known)
+    other, named = converged(search.library, search.data, exact, prior, *known)
     before = {f.hypothesis.effect for f in explanation.accepted}
     if named.accepted and other.evidence(named.chosen()) > search.evidence(now):
         again = {f.hypothesis.effect for f in named.accepted} <= before
@@ -80,7 +76,7 @@ def missing_beyond_gains(
         return (other, named, False) if as_good else None
     if not one or before:
         return None
-    other, named = search_with_noise_level(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
+    other, named = converged(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
     left = judged.of_explanation(other, named.chosen()), judged.of_explanation(search, now)
     return (other, named, True) if named.accepted and left[0] < AS_WELL * left[1] else None
 
@@ -96,8 +92,8 @@ def most_likely(
 
     def scored(d: parts.Decomposition):
         nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
-        search, e = search_with_noise_level(library, data, nuisance, log_prior(library, d), noise)
-        too_far = gains.gain_limit_penalty(search.scene(e.chosen()), gains.totals(kinds, sizes)[1], search.rows)[0]
+        search, e = converged(library, data, nuisance, log_prior(library, d), noise)
+        too_far = gains.penalty(search.scene(e.chosen()), gains.totals(kinds, sizes)[1], search.rows)[0]
         cost = MISSING * len(e.accepted) + min(too_far, MAX_GAIN_PENALTY)
         return TRUST * d.worth + search.evidence(e.chosen()) - cost, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
@@ -113,7 +109,7 @@ def most_likely(
 
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
-) -> tuple[ActiveColumns, list[Nuisance], np.ndarray, np.ndarray]:
+) -> tuple[ActiveSet, list[Nuisance], np.ndarray, np.ndarray]:
     """Datum, gain of the whole simulated signal, gain of each of its parts; their meanings, columns and sizes."""
     columns, sd, kinds = [simulated - simulated.mean()], [GAIN_SD], [DATUM, WHOLE]
     whole = merge_cancelling(d.parts)
@@ -133,7 +129,7 @@ def recalibration(
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
     index = library.table.add(block)
-    active = ActiveColumns(np.array([library.datum]), np.array([np.inf]))
+    active = ActiveSet(np.array([library.datum]), np.array([np.inf]))
     every = np.column_stack([np.ones(simulated.size), block])
     return active.plus(index, np.array(sd) * np.array(size)), kinds, every, np.r_[1.0, size]
 

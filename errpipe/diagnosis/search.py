@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene, textbook_penalty, textbook_share
+from errpipe.diagnosis.evidence import ActiveSet, Data, Scene, textbook_penalty, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MISSING = 10.0  # threshold: log Bayes factor of the first finding
@@ -60,7 +60,7 @@ class Search:
         self,
         library: Library,
         data: Data,
-        nuisance: ActiveColumns,
+        nuisance: ActiveSet,
         sigma: float,
         prior: np.ndarray,
         threshold: float,
@@ -186,7 +186,7 @@ class Search:
         """Threshold on the log Bayes factor of a further finding, given findings that total `total`."""
         return min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
 
-    def active(self, chosen: list[tuple[int, float]]) -> ActiveColumns:
+    def active(self, chosen: list[tuple[int, float]]) -> ActiveSet:
         """Nuisances and chosen hypotheses with their sizes."""
         active = self.nuisance
         for i, size in chosen:
@@ -255,7 +255,7 @@ class Search:
         return chosen
 
 
-def search_with_noise_level(
+def converged(
     library, data, nuisance, prior, noise_estimate, rows=None, most=MOST, weighed=True
 ) -> tuple[Search, Explanation]:
     """Repeat the search until the noise level agrees with the residual rms."""

@@ -51,7 +51,7 @@ class Observability:
 
 
 @dataclass(frozen=True)
-class ProposedMeasurement:
+class Proposal:
     """A proposed measurement: description, components it makes observable, readings and minutes."""
 
     name: str
@@ -65,9 +65,7 @@ def coarse(chain: Chain, without: tuple[str, ...] = ()) -> ident.Parametrisation
     return ident.Parametrisation.of(chain, modes=BENDS, without=without)
 
 
-def analyse_observability(
-    chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()
-) -> Observability:
+def analyse(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()) -> Observability:
     """Rank and unobserved combinations of a test (readings may be missing; only poses and set-up matter). noise: um."""
     model = coarse(chain, without)
     known, spread = information(model, obs, noise)
@@ -168,7 +166,7 @@ def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
 
 def smallest_extra(
     chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()
-) -> tuple[ProposedMeasurement, ...]:
+) -> tuple[Proposal, ...]:
     """Measurements to add, each the one that resolves most per minute, until all is observable.
 
     Stops early if no candidate helps any more.
@@ -177,7 +175,7 @@ def smallest_extra(
     known, spread = information(model, obs, noise)
     offered = dict(candidates(chain, obs))
     gains = {name: information(model, extra, noise)[0] for name, extra in offered.items()}
-    chosen: list[ProposedMeasurement] = []
+    chosen: list[Proposal] = []
     one = np.eye(len(spread))
     for _ in range(MAX_EXTRA):
         values, vectors = np.linalg.eigh(np.linalg.inv(known + one))
@@ -198,9 +196,7 @@ def smallest_extra(
         known = known + gains.pop(best)
         after = _unobserved_components(chain, model, known)
         extra = offered[best]
-        chosen.append(
-            ProposedMeasurement(best, tuple(sorted(before - after)), len(extra), max(extra.seconds, 60.0) / 60.0)
-        )
+        chosen.append(Proposal(best, tuple(sorted(before - after)), len(extra), max(extra.seconds, 60.0) / 60.0))
     return tuple(chosen)
 
 

@@ -83,7 +83,7 @@ def propose(
     picked = tuple(blocks[i] for i in order)
     minutes = _seconds(picked, means) / 60.0
     test = o.concatenate([b.observations for b in picked])
-    result = observability.analyse_observability(chain, test, noise=means.noise, without=without)
+    result = observability.analyse(chain, test, noise=means.noise, without=without)
     return Plan(chain, picked, minutes, result.unobserved, means)
 
 

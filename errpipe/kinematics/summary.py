@@ -31,7 +31,7 @@ def document(
     """
     chain = identified.model.chain
     without = tuple(n for i, n in enumerate(chain.components) if i not in set(identified.model.prior.component))
-    seen = observability.analyse_observability(chain, obs, noise=identified.noise, without=without)
+    seen = observability.analyse(chain, obs, noise=identified.noise, without=without)
     curves = {}
     for c, name in enumerate(chain.components):
         if chain.drives[c] < 0 or name in without:

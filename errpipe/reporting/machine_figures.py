@@ -30,7 +30,7 @@ Band = tuple[np.ndarray, np.ndarray, np.ndarray]  # positions, and two values at
 SLICE = 41  # points along each side of a slice
 
 
-def isometric(points: np.ndarray) -> np.ndarray:
+def project(points: np.ndarray) -> np.ndarray:
     """Isometric view of points (..., 3), shape (..., 2)."""
     return np.asarray(points, dtype=float) @ _VIEW.T
 
@@ -42,7 +42,7 @@ _UP = {
 }
 
 
-def vertical_rotation(chain: Chain) -> np.ndarray:
+def rotation(chain: Chain) -> np.ndarray:
     """Turn (3, 3) that brings the machine's vertical axis up on paper."""
     return _UP[chain.machine.up]
 
@@ -62,7 +62,7 @@ def machine_sketch(chain: Chain) -> str:
             place = bed
             for name in _from_bed(chain, side):
                 at = machine.spindle.position if name == "spindle" else machine.axes[name].reference
-                point = vertical_rotation(chain) @ np.asarray(at, dtype=float)
+                point = rotation(chain) @ np.asarray(at, dtype=float)
                 _strut(axes, place, point)
                 place = point
                 if name == "spindle":
@@ -76,7 +76,7 @@ def machine_sketch(chain: Chain) -> str:
             _end(axes, chain, side, place, size, blocks, labels)
         _paint(axes, blocks)
         for anchor, text, colour in labels:
-            x, y = anchor if len(anchor) == 2 else isometric(anchor)
+            x, y = anchor if len(anchor) == 2 else project(anchor)
             short = len(text) < 3
             axes.text(
                 x, y, text, color=colour, fontsize=11 if short else 9, weight="bold" if short else None, zorder=20
@@ -104,7 +104,7 @@ def _extent(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
         machine.workpiece,
         tuple(chain.tip()[0]),
     ]
-    points = np.array(points, dtype=float) @ vertical_rotation(chain).T
+    points = np.array(points, dtype=float) @ rotation(chain).T
     low, high = points.min(axis=0), points.max(axis=0)
     spread = max(float((high - low).max()), 1.0)
     return low - 0.05 * spread, high + 0.05 * spread
@@ -113,7 +113,7 @@ def _extent(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 def _strut(axes: Axes, start: np.ndarray, stop: np.ndarray) -> None:
     """A structural member: straight up first, then along; drawn under the blocks."""
     corner = np.array([start[0], start[1], stop[2]])
-    path = isometric(np.array([start, corner, stop]))
+    path = project(np.array([start, corner, stop]))
     axes.plot(path[:, 0], path[:, 1], color=STEEL, linewidth=7, solid_joinstyle="round", zorder=2, alpha=0.75)
 
 
@@ -134,7 +134,7 @@ def _paint(axes: Axes, blocks: Sequence[Block]) -> None:
             shade = np.clip(np.array(to_rgb(colour)) * light, 0, 1)
             axes.add_patch(
                 Polygon(
-                    isometric(np.array(corners)),
+                    project(np.array(corners)),
                     facecolor=shade,
                     edgecolor="white",
                     linewidth=0.6,
@@ -146,10 +146,10 @@ def _paint(axes: Axes, blocks: Sequence[Block]) -> None:
 def _motion(axes: Axes, chain: Chain, name: str, point: np.ndarray, size: float, colour: str) -> np.ndarray:
     """An arrow along a linear axis, an arc about a rotary one: how the part moves for +. Returns the label's place."""
     axis = chain.machine.axes[name]
-    direction = vertical_rotation(chain) @ np.asarray(chain.machine.direction(name))
+    direction = rotation(chain) @ np.asarray(chain.machine.direction(name))
     if axis.kind == "linear":
         reach = 0.17 * size
-        ends = isometric(np.array([point - reach * direction, point + reach * direction]))
+        ends = project(np.array([point - reach * direction, point + reach * direction]))
         sign = -1 if chain.machine.side_moved_by(name) == "workpiece" else 1
         start, stop = (ends[0], ends[1]) if sign > 0 else (ends[1], ends[0])
     else:
@@ -158,7 +158,7 @@ def _motion(axes: Axes, chain: Chain, name: str, point: np.ndarray, size: float,
             v = -v
         turn = np.linspace(0.2, 1.6 * np.pi, 40)
         sense = -1 if chain.machine.side_moved_by(name) == "workpiece" else 1
-        ring = isometric(point + 0.11 * size * (np.cos(turn)[:, None] * u + sense * np.sin(turn)[:, None] * v))
+        ring = project(point + 0.11 * size * (np.cos(turn)[:, None] * u + sense * np.sin(turn)[:, None] * v))
         axes.plot(ring[:, 0], ring[:, 1], color=colour, linewidth=1.8, zorder=9)
         start, stop = ring[-3], ring[-1]
     axes.annotate("", xy=stop, xytext=start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.8}, zorder=9)
@@ -171,16 +171,14 @@ def _end(
     axes: Axes, chain: Chain, side: str, place: np.ndarray, size: float, blocks: list[Block], labels: list[Label]
 ) -> None:
     if side == "workpiece":
-        work = vertical_rotation(chain) @ np.asarray(chain.machine.workpiece, dtype=float)
+        work = rotation(chain) @ np.asarray(chain.machine.workpiece, dtype=float)
         _strut(axes, place, work)
         blocks.append(_block(_shift(work, size, 0, 0, 0.05), np.full(3, 0.1 * size), WORK))
         labels.append((_shift(work, size, 0.07, 0, 0.02), "work", svg.INK))
         return
-    mount, tip = (
-        vertical_rotation(chain) @ np.asarray(v, dtype=float) for v in (chain.machine.mount(), chain.tip()[0])
-    )
+    mount, tip = (rotation(chain) @ np.asarray(v, dtype=float) for v in (chain.machine.mount(), chain.tip()[0]))
     _strut(axes, place, mount)
-    path = isometric(np.array([mount, tip]))
+    path = project(np.array([mount, tip]))
     axes.plot(path[:, 0], path[:, 1], color=TOOL, linewidth=3, zorder=12, solid_capstyle="butt")
     axes.plot(path[1:, 0], path[1:, 1], "o", color=TOOL, markersize=5, zorder=12)
     labels.append((_shift(tip, size, 0.03, 0, -0.03), "tool", svg.INK))
@@ -191,7 +189,7 @@ def vectors(chain: Chain, q: np.ndarray, before: np.ndarray, after: np.ndarray |
 
     after may also be sizes (n,), um, of which no direction is known: drawn as balls of that radius.
     """
-    turn = vertical_rotation(chain).T
+    turn = rotation(chain).T
     place = synthesis.ideal_pose(chain, q)[:, 0] @ turn
     rows = svg.thin(len(place), 250)
     largest = max(float(np.linalg.norm(before, axis=1).max()), 1e-9)
@@ -201,11 +199,11 @@ def vectors(chain: Chain, q: np.ndarray, before: np.ndarray, after: np.ndarray |
         for axes, (name, values, colour) in zip(np.atleast_1d(subplots), panels, strict=True):
             _frame(axes, place, chain)
             size = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
-            start = isometric(place[rows])
+            start = project(place[rows])
             if values.ndim == 1:
                 _balls(axes, start, reach * size[rows], colour)
             else:
-                stop = isometric(place[rows] + reach * values[rows] @ turn)
+                stop = project(place[rows] + reach * values[rows] @ turn)
                 axes.quiver(
                     *start.T,
                     *(stop - start).T,
@@ -236,12 +234,12 @@ def _frame(axes: Axes, place: np.ndarray, chain: Chain) -> None:
     for i, a in enumerate(corners):
         for b in corners[i + 1 :]:
             if np.abs(a - b).sum() == 1:
-                line = isometric(low + (high - low) * np.array([a, b]))
+                line = project(low + (high - low) * np.array([a, b]))
                 axes.plot(line[:, 0], line[:, 1], color="#c3c9ce", linewidth=0.8, zorder=1)
-    for letter, way in zip("XYZ", vertical_rotation(chain).T, strict=True):
+    for letter, way in zip("XYZ", rotation(chain).T, strict=True):
         start = np.where(way < 0, high, low)
         end = start + way * (np.abs(way) @ (high - low) + 0.05 * np.ptp(place, axis=0).max())
-        across, up = isometric(end)
+        across, up = project(end)
         axes.text(across, up, letter, color=COLOURS[letter], ha="center", va="center", fontsize=9, weight="bold")
 
 

@@ -64,7 +64,7 @@ class TableGuard:
 
 
 @dataclass(frozen=True)
-class GuardReference:
+class Baseline:
     """What a guard is judged by: the model's plain table on the recording's own rows.
 
     left, before: component -> rms that the model, and no compensation, leave on held-out rows, um.
@@ -103,15 +103,13 @@ class GuardReference:
         return all(np.hypot(self.left[n], moved[n]) < MAX_LEFT * self.before[n] for n in self.left if n in moved)
 
 
-def guard_reference(
-    passed: GatedModel, options: CompileOptions, recording: Recording, plain: CompensationTable
-) -> GuardReference:
+def baseline(passed: GatedModel, options: CompileOptions, recording: Recording, plain: CompensationTable) -> Baseline:
     """What guards of an export are judged by; where nothing was judged, the rows of the fit stand for held-out ones."""
     left = {c.component: c.rms_after for c in passed.model.components}
     before = {c.component: c.rms_before for c in passed.model.components}
     for figures in sorted(passed.judged, key=lambda f: -f["rms_at_gain"]):  # the least of several validations
         left[figures["component"]], before[figures["component"]] = figures["rms_at_gain"], figures["rms_before"]
-    return GuardReference(passed.model, options, _fewer_rows(recording), plain, left, before)
+    return Baseline(passed.model, options, _fewer_rows(recording), plain, left, before)
 
 
 def _fewer_rows(recording: Recording) -> Recording:
@@ -133,7 +131,7 @@ def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
     return [n for n in recording.names("temperature") if n in read]
 
 
-def choose_guard(judge: GuardReference, scheme: str | None) -> TableGuard:
+def choose_guard(judge: Baseline, scheme: str | None) -> TableGuard:
     """The guard learnt from the recording, if it costs at most `MAX_COST` with healthy sensors.
 
     scheme: the hold-out of the validation; its groups, else runs, are held out. If sensors cannot be compared
@@ -173,7 +171,7 @@ def choose_guard(judge: GuardReference, scheme: str | None) -> TableGuard:
     return TableGuard(guard, sentence, document)
 
 
-def _chosen(judge: GuardReference, held: Recording, max_count: int) -> tuple[str, ...]:
+def _chosen(judge: Baseline, held: Recording, max_count: int) -> tuple[str, ...]:
     """The `max_count` temperatures with the largest effect on the table, in the recording's order."""
     names = sensors_read(judge.plain, held)
     predicted, run = judge.predicted(judge.plain, held), held.run_codes()
@@ -215,7 +213,7 @@ def _ranges(accuracy: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _with_substitutes(
-    judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
+    judge: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
 ) -> tuple[SensorGuard, dict[str, dict[str, float]]]:
     """The guard, each sensor with a useful estimate marked: one at a time and in pairs.
 
@@ -264,7 +262,7 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
             yield (i, j), (left[:, i] + weight[i, j] * left[:, j]) / (1.0 - weight[i, j] * weight[j, i])
 
 
-def _cost(judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> float:
+def _cost(judge: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> float:
     """Relative increase of the residual by a guard with healthy sensors: larger one of held-out and fitted groups.
 
     Rows of a group are evaluated without those before them, where states start anew; so are those of the plain table.
@@ -283,7 +281,7 @@ def _cost(judge: GuardReference, held: Recording, guard: SensorGuard, folds: Seq
 
 
 def _affordable(
-    judge: GuardReference, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
+    judge: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
 ) -> tuple[SensorGuard, float]:
     """The guard at the smallest of `WIDER` with a cost of at most `MAX_COST`, else the widest; the cost."""
     tried, cost = guard, np.inf
@@ -295,7 +293,7 @@ def _affordable(
     return tried, float(cost)
 
 
-def _one_by_one(judge: GuardReference, held: Recording, why: str, scheme: str | None) -> TableGuard:
+def _one_by_one(judge: Baseline, held: Recording, why: str, scheme: str | None) -> TableGuard:
     """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
     max_count = min(MAX_INDIVIDUAL, judge.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:

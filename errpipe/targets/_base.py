@@ -319,7 +319,7 @@ def too_many(target: str, points: int, limit: int, error_um: float) -> GateError
     )
 
 
-def require_match(pattern: str | re.Pattern[str], text: str, target: str, what: str) -> re.Match[str]:
+def matched(pattern: str | re.Pattern[str], text: str, target: str, what: str) -> re.Match[str]:
     """The first match (^ and $ at every line) of a pattern. Raises VerifyError if there is none."""
     match = re.search(pattern, text) if isinstance(pattern, re.Pattern) else re.search(pattern, text, re.M)
     if match is None:

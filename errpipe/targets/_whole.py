@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import ReadBack, Target, expect, require_match
+from errpipe.targets._base import ReadBack, Target, expect, matched
 
 MIN_THERMAL_UM = 0.01  # per kelvin; less is not worth a line of a checklist
 
@@ -37,7 +37,7 @@ class WholeTable(ReadBack):
     @classmethod
     def from_array(cls, target: type[Target], files: Mapping[str, str], name: str, array: str) -> WholeTable:
         """From a file that contains the table's bytes as an array in C; the files must be those written from it."""
-        match = require_match(rf"{array}\[(\d+)\] = \{{([\d,\s]*)\}};", files.get(name, ""), name, "holds no table")
+        match = matched(rf"{array}\[(\d+)\] = \{{([\d,\s]*)\}};", files.get(name, ""), name, "holds no table")
         data = bytes(int(v) for v in match[2].split(","))
         expect(len(data) == int(match[1]), name, f"{len(data)} bytes of {match[1]}")
         return cls.as_written(target, files, data)

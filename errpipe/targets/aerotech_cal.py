@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.targets._base import CAUTION, Curve, require_match
+from errpipe.targets._base import CAUTION, Curve, matched
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -49,7 +49,7 @@ class AerotechCal(ScrewMap):
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
         pattern = r"^:START1D REFAXIS=(\d+) OUTAXIS=\1 .*OFFSET=(\S+) SAMPLEDIST=(\S+)$((?:\n[-\d.]+)+)\n:END$"
-        match = require_match(pattern, text, name, "has no table between :START1D and :END")
+        match = matched(pattern, text, name, "has no table between :START1D and :END")
         value = np.array(match[4].split(), dtype=float)
         axis = name.partition(".")[0]
         return Curve(axis, axis, float(match[2]) + float(match[3]) * np.arange(value.size), value, value)

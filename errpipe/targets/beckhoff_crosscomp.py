@@ -17,16 +17,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import (
-    CAUTION,
-    Curve,
-    NothingToAddError,
-    ReadBack,
-    Target,
-    expect,
-    require_match,
-    settings_in,
-)
+from errpipe.targets._base import CAUTION, Curve, NothingToAddError, ReadBack, Target, expect, matched, settings_in
 
 MAX_NODES = 1001  # nodes of a table
 ERROR_UM = 0.1  # between points, at most
@@ -101,7 +92,7 @@ def _read(name: str, text: str) -> Curve:
         for key in ("setpoint", "correction")
     }
     expect(bool(np.all(np.diff(column["setpoint"]) > 0)), name, "set points are not ascending")
-    axis, over = require_match(r"^# (\w+) over (\w+)$", text, name, "is not the list of its slave axis").groups()
+    axis, over = matched(r"^# (\w+) over (\w+)$", text, name, "is not the list of its slave axis").groups()
     expect(settings["kopf.log_achs_name"] == axis, name, "is not the list of its slave axis")
     expect(settings["kw.crosscomp.unit"] == "1", name, "counts in increments")
     return Curve(axis, over, column["setpoint"], column["correction"], column["correction"])

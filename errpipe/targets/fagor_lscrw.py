@@ -23,9 +23,9 @@ from errpipe.targets._base import (
     Curve,
     ReadBack,
     expect,
+    matched,
     periodic_curve,
     points_in_file,
-    require_match,
     unit_of,
 )
 from errpipe.targets._screw_map import ScrewMap
@@ -70,7 +70,7 @@ class FagorLscrw(ScrewMap):
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
         points = re.findall(r"^P(\d+) (\S+) (\S+) (\S+)$", text, re.M)
-        announced = require_match(r"^; axis (\w+), (\d+) points", text, name, "has not the points that it announces")
+        announced = matched(r"^; axis (\w+), (\d+) points", text, name, "has not the points that it announces")
         expect(len(points) == int(announced[2]), name, "has not the points that it announces")
         _, x, up, down = np.array(points, dtype=float).T
         expect(bool(np.all(np.diff(x) > 0)), name, "positions are not ascending")

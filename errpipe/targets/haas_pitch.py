@@ -18,7 +18,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import ANOTHER_FORMAT, CAUTION, ByHand, Curve, ReadBack, expect, require_match
+from errpipe.targets._base import ANOTHER_FORMAT, CAUTION, ByHand, Curve, ReadBack, expect, matched
 from errpipe.targets._screw_map import ScrewMap
 
 INCH = 25.4  # mm
@@ -89,7 +89,7 @@ class HaasPitch(ScrewMap):
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
         pattern = r"^# (\w+): (\d+) values in inches, machine zero at (\S+) mm$"
-        head = require_match(pattern, text, name, "has not the values that it announces")
+        head = matched(pattern, text, name, "has not the values that it announces")
         rows = re.findall(r"^(\d+) (-?[\d.]+)$", text, re.M)
         expect(len(rows) == int(head[2]), name, "has not the values that it announces")
         value = INCH * np.array([float(v) for _, v in rows])[::-1]

@@ -29,7 +29,7 @@ from typing import Any
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import ect
 from errpipe.tables import layout as lay
-from errpipe.targets._base import ReadBack, Target, expect, require_match
+from errpipe.targets._base import ReadBack, Target, expect, matched
 from errpipe.targets._text import byte_rows, plain, source
 from errpipe.targets._whole import WholeTable
 
@@ -195,9 +195,9 @@ def _example(table: CompensationTable) -> str:
 
 
 def _bytes_of(name: str, text: str) -> bytes:
-    size = require_match(r"nFileSize : DINT := (\d+);", text, name, "holds no table")
+    size = matched(r"nFileSize : DINT := (\d+);", text, name, "holds no table")
     pattern = r"(?:aFile|aBytes) : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];"
-    match = require_match(pattern, text, name, "holds no table")
+    match = matched(pattern, text, name, "holds no table")
     values = [int(v) for v in match[1].split(",")]
     expect(len(values) == int(size[1]) and all(v < 256 for v in values), name, f"{len(values)} bytes of {size[1]}")
     return bytes(values)

@@ -21,7 +21,7 @@ from errpipe.domain import table as t
 from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import HOMED_AT_ONCE, ByHand, ReadBack, Target, expect, require_match
+from errpipe.targets._base import HOMED_AT_ONCE, ByHand, ReadBack, Target, expect, matched
 from errpipe.targets._text import filled, plain, source
 from errpipe.targets._whole import WholeTable
 
@@ -87,7 +87,7 @@ class LinuxcncHal(Target):
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> WholeTable:
-        match = require_match(_TABLE, files[COMPONENT], COMPONENT, "holds no whole table")
+        match = matched(_TABLE, files[COMPONENT], COMPONENT, "holds no whole table")
         expect(files[COMPONENT].rstrip().endswith("}"), COMPONENT, "holds no whole table")
         data = bytes(int(v, 16) for v in re.findall(r"0x([0-9a-f]{2})", match[2]))
         expect(len(data) == int(match[1]), COMPONENT, f"{len(data)} bytes of table where {match[1]} are announced")

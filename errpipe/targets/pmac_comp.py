@@ -23,7 +23,7 @@ import numpy as np
 from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, require_match, too_many, unit_of
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, matched, too_many, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 COUNTS = 10_000  # per mm (deg)
@@ -110,7 +110,7 @@ def _block(number: int, axis: str, step: int, at: np.ndarray, curve: Curve) -> s
 def _read(text: str, number: str, axis: str, low: str, high: str) -> Curve:
     """As the controller does: an entry for each spacing, positions below zero rolled over."""
     part = text.split(f"\n#{number}\n")[1].split("\n;")[0]
-    constant = require_match(rf"^I{number}86=(-?\d+)$", text, FILE, f"#{number} lacks a table")
+    constant = matched(rf"^I{number}86=(-?\d+)$", text, FILE, f"#{number} lacks a table")
     at, tables = np.arange(int(low), int(high) + 1), {}
     step, turns = 0, is_rotary(axis) and re.search(rf"DEFINE COMP \d+,{int(TURN * COUNTS)}$", part, re.M)
     if turns:

@@ -13,7 +13,7 @@ import re
 
 import numpy as np
 
-from errpipe.targets._base import Curve, expect, periodic_curve, require_match, unit_of
+from errpipe.targets._base import Curve, expect, matched, periodic_curve, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 RAMP = 1.0  # mm/s: 1 um/ms, as corrections of a table move at most (`tables/limits.py`)
@@ -49,7 +49,7 @@ class TwincatNcTable(ScrewMap):
         sides = []
         for side in SIDES:
             array = re.compile(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", re.S)
-            match = require_match(array, text, name, f"has no array for {SIDES[side]}")
+            match = matched(array, text, name, f"has no array for {SIDES[side]}")
             rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(match[2])]
             expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
             sides.append(np.array(rows))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from errpipe.diagnosis.coloured import Colour, correlation_time, whiten
-from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene, ScoredHypotheses, Table, averaged, textbook_share
+from errpipe.diagnosis.evidence import ActiveSet, Data, Scene, ScoredHypotheses, Table, averaged, textbook_share
 from errpipe.diagnosis.hypotheses import rms_and_spread
 from errpipe.kernels import noise
 
@@ -18,7 +18,7 @@ def table(rng, n=400, k=6):
 
 
 def scene(made, y):
-    return Scene(Data(made, y), ActiveColumns(np.array([6]), np.array([np.inf])), 1.0)
+    return Scene(Data(made, y), ActiveSet(np.array([6]), np.array([np.inf])), 1.0)
 
 
 def test_the_true_column_wins_and_noise_pays():
@@ -37,7 +37,7 @@ def test_hypotheses_of_all_widths_at_once_have_the_evidence_of_each():
     columns[:, 7] = columns[:, 3] - columns[:, 5]  # what two others say already
     made = Table(np.zeros(400, dtype=int), [columns, np.ones((400, 1))], np.arange(400) * 5 // 400)
     y = columns[:, 3] + columns[:, 30:] @ rng.standard_normal(10) + rng.standard_normal(400)
-    beside = Scene(Data(made, y), ActiveColumns(np.array([40, 30, 31]), np.array([np.inf, 2.0, 0.5])), 1.1)
+    beside = Scene(Data(made, y), ActiveSet(np.array([40, 30, 31]), np.array([np.inf, 2.0, 0.5])), 1.1)
     index = [np.arange(3, 3 + w) for w in (1, 2, 3, 6, 37)]
     freedom = [rng.uniform(0.05, 1.0, i.size) for i in index]
     gain, size, core = beside.scores(ScoredHypotheses(index, freedom, [1, 1, 2, 4, 20]), rows=300.0)

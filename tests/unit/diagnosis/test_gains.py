@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from errpipe.diagnosis import diagnose, gains
-from errpipe.diagnosis.evidence import ActiveColumns, Data, Scene, Table
+from errpipe.diagnosis.evidence import ActiveSet, Data, Scene, Table
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 
 from .machines import axis, recording
@@ -22,13 +22,13 @@ def scene(off: float, sd: float = 0.1, seed: int = 0) -> tuple[Scene, np.ndarray
     columns = np.column_stack([np.ones(500), whole, parts])
     made = Table(np.zeros(500, dtype=int), [columns], np.arange(500) * 5 // 500)
     sizes = np.ones(4)
-    active = ActiveColumns(np.arange(4), np.r_[np.inf, sd, sd, sd])
+    active = ActiveSet(np.arange(4), np.r_[np.inf, sd, sd, sd])
     return Scene(Data(made, y), active, 1.0), gains.totals([DATUM, WHOLE, *PARTS], sizes)[1]
 
 
 @pytest.mark.parametrize("off", [0.0, 0.1, -0.15])
 def test_gains_within_the_limits_cost_nothing(off):
-    cost, beyond = gains.gain_limit_penalty(*scene(off))
+    cost, beyond = gains.penalty(*scene(off))
     assert cost == 0.0
     assert not beyond.any()
 
@@ -43,7 +43,7 @@ def test_gains_that_no_simulation_has_are_counted(off, count):
 
 @pytest.mark.parametrize("off", [0.5, -0.5])
 def test_a_gain_far_off_costs_what_the_limit_would_leave_unexplained(off):
-    cost, beyond = gains.gain_limit_penalty(*scene(off))
+    cost, beyond = gains.penalty(*scene(off))
     assert beyond.tolist() == [False, True]
     made, _ = scene(off)
     left = made.Q + (0.3 * 8.0) ** 2 * 500  # a third of the part stays in the rows

@@ -92,7 +92,7 @@ def test_a_weak_name_must_be_found_again_without_a_fold(gain, again, named, mask
 def test_what_acts_in_part_was_chosen_on_all_rows_and_is_unknown_to_a_fold(monkeypatch):
     raw = axis(5, hidden=lambda c: -3.0 * c["dir"])
     (pair,), _ = prepare.pairs(raw)
-    case = judge.diagnose_response(raw, prepare.condition(raw), pair)
+    case = judge.diagnose(raw, prepare.condition(raw), pair)
     chosen, every = [i for i, _ in case.chosen()], np.arange(len(case.library.hypotheses))
     masked = ~np.isin(every, [k for i in chosen for k in case.library.family(i)])
     for i in np.flatnonzero(masked):  # its key is kept: the library finds it by that

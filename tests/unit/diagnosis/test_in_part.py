@@ -23,7 +23,7 @@ def judged(columns, kinds, component, error, simulated, unit="um"):
     kinds |= {"y_sim": {"role": "simulated", "component": component, "unit": unit}}
     raw = recording(columns | {"y_read": np.round(error, 4), "y_sim": np.round(simulated, 4)}, kinds)
     (pair,), _ = prepare.pairs(raw)
-    return judge.diagnose_response(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
+    return judge.diagnose(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
 
 
 def names(case):

@@ -16,7 +16,7 @@ from .machines import axis, spindle
 
 def judged(recording) -> judge.Case:
     (pair,), _ = prepare.pairs(recording)
-    return judge.diagnose_response(recording, prepare.condition(recording), pair)
+    return judge.diagnose(recording, prepare.condition(recording), pair)
 
 
 def with_mismatch(case: judge.Case, y: np.ndarray) -> judge.Case:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import judge
-from errpipe.diagnosis.evidence import ActiveColumns, Data
+from errpipe.diagnosis.evidence import ActiveSet, Data
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.diagnosis.search import Accepted, Search
 from errpipe.terms import NEVER
@@ -27,7 +27,7 @@ def library(columns: dict[str, np.ndarray]) -> Library:
 
 def explained(columns: dict[str, np.ndarray], y: np.ndarray) -> set[str]:
     made = library(columns)
-    nuisance = ActiveColumns(np.array([made.datum]), np.array([np.inf]))
+    nuisance = ActiveSet(np.array([made.datum]), np.array([np.inf]))
     search = Search(made, Data(made.table, y), nuisance, 1.0, np.zeros(len(columns)), 10.0, 10.0)
     return {f.hypothesis.effect for f in search.explain().accepted}
 

@@ -42,7 +42,7 @@ def grid(seed: int, lead: float):
 
 def named(raw):
     (pair,), _ = prepare.pairs(raw)
-    case = judge.diagnose_response(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
+    case = judge.diagnose(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
     return [f.hypothesis.effect for f in case.explanation.accepted]
 
 

@@ -21,7 +21,7 @@ def cloud(chain, tools):
 
 def test_one_tool_cannot_show_the_roll_of_the_last_axis():
     chain = ready("cmm")
-    examination = observability.analyse_observability(chain, cloud(chain, [(120.0, (0, 0, 0))]))
+    examination = observability.analyse(chain, cloud(chain, [(120.0, (0, 0, 0))]))
     assert examination.seen["ECZ"] < 0.05 < 0.9 < examination.seen["EXX"]
     assert any("ECZ" in u.components for u in examination.unobserved)
     assert examination.rank < examination.parameters
@@ -29,7 +29,7 @@ def test_one_tool_cannot_show_the_roll_of_the_last_axis():
 
 def test_three_tools_show_everything():
     chain = ready("cmm")
-    examination = observability.analyse_observability(
+    examination = observability.analyse(
         chain, cloud(chain, [(80.0, (0, 0, 0)), (200.0, (0, 0, 0)), (120.0, (60.0, 40.0, 0))])
     )
     assert examination.unobserved == ()
@@ -63,7 +63,7 @@ def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
     chain = ready("cmm")
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 150.0, 120.0, 36)
     test = protocols.observations(chain, metrology.simulate_runs(chain, {}, "ballbar_circle", runs, 1))
-    examination = observability.analyse_observability(chain, test)
+    examination = observability.analyse(chain, test)
     assert examination.seen["ECX"] < 0.05
     extra = observability.smallest_extra(chain, test)
     assert any("along X, about C" in e.name for e in extra)

@@ -76,9 +76,9 @@ def test_an_uncertain_feature_counts_less():
 def test_normals_show_angles_that_centres_do_not():
     """What a part cannot see is named; with normals of its faces, less of it is."""
     recording = part({}, noise=0.5)
-    every = observability.analyse_observability(CHAIN, protocols.observations(CHAIN, recording))
+    every = observability.analyse(CHAIN, protocols.observations(CHAIN, recording))
     plain = recording.with_columns({}, {n: Column(role="ignore") for n in ("E_A", "E_B")})
-    points = observability.analyse_observability(CHAIN, protocols.observations(CHAIN, plain))
+    points = observability.analyse(CHAIN, protocols.observations(CHAIN, plain))
     assert every.unobserved and every.rank > points.rank
     assert all(every.seen[c] >= points.seen[c] - 1e-6 for c in every.seen)
 

@@ -57,7 +57,7 @@ def test_without_a_square_the_squareness_is_named_as_unseen():
     chain = ready("cmm")
     values = metrology.smooth_machine(chain, 2)
     recording = played.record(chain, values, played.SetUp(targets=9, cycles=1), 2)
-    seen = observability.analyse_observability(chain, records.observations(chain, {"": recording}), noise=1.0)
+    seen = observability.analyse(chain, records.observations(chain, {"": recording}), noise=1.0)
     assert {c for u in seen.unobserved for c in u.components} == {"C0Y", "A0Z", "B0Z"}
     extra = observability.smallest_extra(chain, records.observations(chain, {"": recording}), noise=1.0)
     assert {c for e in extra for c in e.resolves} == {"C0Y", "A0Z", "B0Z"}
@@ -74,7 +74,7 @@ def test_records_and_a_ball_bar_together_give_what_neither_gives():
     fitted = identify.identify(identify.Parametrisation.of(chain, 8), both)
     for row in fitted.table():
         assert row["value"] == pytest.approx(values[row["component"]], abs=2.5)
-    assert observability.analyse_observability(chain, both, noise=1.0).unobserved == ()
+    assert observability.analyse(chain, both, noise=1.0).unobserved == ()
 
 
 @pytest.mark.parametrize("definition", [{}, {"errors_of": "carriage"}, {"reference_on": "guideway"}])

@@ -42,10 +42,10 @@ def machine(runs: int, seed: int, read: tuple[str, ...] = sensors.NAMES) -> tupl
     return rows, Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]}).fit(rows).model
 
 
-def judged(rows: Recording, model: ErrorModel) -> _guarded.GuardReference:
+def judged(rows: Recording, model: ErrorModel) -> _guarded.Baseline:
     plain = compile_model(model, CompileOptions(), None, rows)
     (c,) = model.components
-    return _guarded.GuardReference(model, CompileOptions(), rows, plain, {"E_Z": c.rms_after}, {"E_Z": c.rms_before})
+    return _guarded.Baseline(model, CompileOptions(), rows, plain, {"E_Z": c.rms_after}, {"E_Z": c.rms_before})
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +199,7 @@ def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
     """The stand-in of a sensor whose noise the table turns into more than the whole error."""
     rows, model, judge, _ = watched
     before = {"E_Z": 1.01 * judge.left["E_Z"]}
-    poor = _guarded.GuardReference(model, CompileOptions(), rows, judge.plain, judge.left, before)
+    poor = _guarded.Baseline(model, CompileOptions(), rows, judge.plain, judge.left, before)
     lost = _guarded.choose_guard(poor, None)
     assert not all(s.stands_in for s in lost.guard.sensors) and "fades if" in lost.sentence
     alone = [s for s in lost.guard.sensors if not s.stands_in]  # a false alarm would cost the whole correction
@@ -227,7 +227,7 @@ def test_a_table_without_room_has_a_smaller_guard_or_none(watched):
 
     def with_room(nodes: int) -> _guarded.TableGuard:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_guarded.GuardReference, "free_nodes", lambda self: nodes)
+            patch.setattr(_guarded.Baseline, "free_nodes", lambda self: nodes)
             return _guarded.choose_guard(judge, None)
 
     few, alone, none = map(with_room, (300, 100, 20))
