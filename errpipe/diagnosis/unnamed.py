@@ -113,7 +113,8 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     """
     if not case.explanation.accepted:
         return False
-    far = held.after > max(SMALLER * held.before, FAR * case.noise_estimate) and "whole runs" not in held.scheme
+    before, after = held.apart
+    far = after > max(SMALLER * before, FAR * case.noise_estimate) and "whole runs" not in held.scheme
     return far or unnamed_structure(case, held) or _rhythm_remains(case, held)
 
 

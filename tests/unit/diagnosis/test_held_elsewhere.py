@@ -130,3 +130,20 @@ def test_a_signal_that_is_no_sum_of_effects_has_one_gain(share, parts):
     rise, other = case.array("T_bed") - 20.0, share * np.random.default_rng(3).standard_normal(rows.size)
     (first, *_), _ = decompose.decompose(3.0 * rise / rise.std() + other, library, case, rows, 0.3)
     assert bool(first.parts) == parts
+
+
+@pytest.mark.parametrize(("left", "blocks", "counts"), [(0.5, 2, False), (0.5, 9, True), (1.0, 2, True)])
+def test_a_few_blocks_in_which_names_extrapolate_do_not_count(left, blocks, counts):
+    """Names that leave half of the rms elsewhere stand in spite of two blocks of 40, not of nine; useless ones fall."""
+    n = 400
+    before = np.random.default_rng(2).standard_normal(n)
+    after = left * before
+    after[: n // 40 * blocks] = 30.0
+    starts = np.arange(0, n, n // 40)
+    fold = np.repeat(np.random.default_rng(3).permuted(np.tile(np.arange(5), (8, 1)), axis=1).ravel(), n // 40)
+    rows = [np.flatnonzero(fold == f) for f in range(5)]
+    table = SimpleNamespace(n=n, rows=rows, stretches=[(k, k + n // 40, int(fold[k])) for k in starts])
+    case = SimpleNamespace(library=SimpleNamespace(table=table))
+    order = np.concatenate(rows)
+    apart = holdout._apart(case, before[order], after[order])
+    assert (apart[1] > unnamed.SMALLER * apart[0]) is counts
