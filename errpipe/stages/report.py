@@ -20,6 +20,7 @@ from errpipe.stages.validate import HELD_OUT
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
 
+LOW_COVERAGE = 0.8  # of a 90 % interval in one held-out group; by judgement: twice as many rows outside as stated
 SIGN_WARNING = (
     f"{_artefacts.SIGN_NOTE}. Before anything is loaded, jog the axis 0.1 mm (deg) beyond a target in the positive "
     "direction: the reading must rise."
@@ -270,10 +271,18 @@ def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
         notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
     found = (steps.in_words(figures), clocks.in_words(figures), between_runs.in_words(figures))
     notes += [f"{words}." for words in found if words]
+    notes += _low_coverage(figures["groups"])
     if component.half_width90 is not None:
         more = "" if component.factor90 is None else " where the prediction is small, in a season not in the fit"
         notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}{more}.")
     return notes
+
+
+def _low_coverage(groups: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A note on the held-out groups of which the 90 % interval contains too little."""
+    known = {g["label"]: g["coverage90"] for g in groups if g["coverage90"] is not None}
+    poor = ", ".join(f"{100 * share:.0f} % of {label}" for label, share in known.items() if share < LOW_COVERAGE)
+    return [f"The 90 % interval is too narrow in held-out groups: it contains {poor}."] if poor else []
 
 
 def _validity(model: Any) -> list[dict[str, Any]]:
