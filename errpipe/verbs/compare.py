@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
 EXPORT = "export.json"  # of an export folder
-ROUNDING = 1e-9  # mm (deg, K): ends of grids are start + step * count
+DIGITS = 9  # of a position in mm (deg, K): ends of grids are start + step * count, with rounding
 SETTLED = 0.5  # of the largest difference: less than that once settled is worth a line
 MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
@@ -188,7 +188,7 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
 
 def _where(c: Change) -> list[str]:
     """Lines on where a response differs most, and what the difference correlates with."""
-    place = ", ".join(f"{name} = {_place(value)}" for name, value in c.at.items())
+    place = ", ".join(f"{name} = {round(value, DIGITS) + 0.0:.5g}" for name, value in c.at.items())
     lines = [f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}"]
     if c.goes_with and c.share > 0.1:
         means = [b[1] for b in c.by_bin]
@@ -388,16 +388,11 @@ def _shared(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[tuple[str, A
 
 def _ranges(out: Comparison, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     for name, a, b in _shared(old, new):
-        if all(abs(p - q) < ROUNDING for p, q in zip(a, b, strict=True)):
+        if all(abs(p - q) < 10.0**-DIGITS for p, q in zip(a, b, strict=True)):
             continue
         disjoint = a[0] < a[1] <= b[0] < b[1] or b[0] < b[1] <= a[0] < a[1]
-        was, now = (" .. ".join(map(_place, ends)) for ends in (a, b))
+        was, now = (" .. ".join(f"{round(end, DIGITS) + 0.0:.5g}" for end in ends) for ends in (a, b))
         out.lines.append(f"validity of {name}: {was} -> {now}" + disjoint * ", apart")
-
-
-def _place(value: float) -> str:
-    """A position or reading in five digits; 0 where only the arithmetic of a grid is left of it."""
-    return f"{0.0 if abs(value) < ROUNDING else value:.5g}"
 
 
 def _short(value: Any) -> str:

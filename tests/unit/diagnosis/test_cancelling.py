@@ -61,7 +61,7 @@ def test_a_signal_is_late_or_early_and_not_both(monkeypatch, late, second):
     made = [SimpleNamespace(hypothesis=SimpleNamespace(terms=(t,))) for t in terms]
     for rule in ("at_its_limit", "implausible_size", "cancelling"):
         monkeypatch.setattr(plausible, rule, lambda *_: [])
-    monkeypatch.setattr(plausible.model, "modelled", lambda case, k: made[k])
+    monkeypatch.setattr(plausible.model, "fit_finding", lambda case, k: made[k])
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=[None, None]))
     assert plausible.impossible(case) == (made[1:] if second else [])  # type: ignore[arg-type]
 
@@ -107,7 +107,7 @@ def test_of_any_shape_the_textbook_form_may_have_no_size(monkeypatch, form, in_d
     term = SimpleNamespace(form=form, nonlinear=tuple)
     made = SimpleNamespace(joint=0.1, cores=1, estimates=(SimpleNamespace(name="a", low=-1.0, high=9.0),))
     made.hypothesis = SimpleNamespace(terms=(term,), nonlinear=((),))
-    monkeypatch.setattr(plausible.model, "modelled", lambda case, k: made)
+    monkeypatch.setattr(plausible.model, "fit_finding", lambda case, k: made)
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=[None]))
     assert len(plausible.doubtful(case)) == in_doubt
 

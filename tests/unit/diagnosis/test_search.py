@@ -127,7 +127,7 @@ def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch
 
     Not where its own form holds little of it: two effects that are one in a form of its own stay two.
     """
-    monkeypatch.setattr(judge.unnamed, "departs", lambda case, held: departs)
+    monkeypatch.setattr(judge.unnamed, "departures_predict_held_out", lambda case, held: departs)
     effects = ("feed_heating", "scale_expansion", "thermal_drift")
     library = SimpleNamespace(hypotheses=[SimpleNamespace(effect=e) for e in effects])
     made = SimpleNamespace(plain=False, library=library, prior=np.zeros(3))

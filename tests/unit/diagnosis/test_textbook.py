@@ -39,7 +39,7 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
         for h in (SimpleNamespace(mask=m, terms=terms) for m in ((), ("range", "t", 0.0, 60.0)))
     )
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
-    monkeypatch.setattr(unnamed.model, "modelled", lambda case, k: None)
+    monkeypatch.setattr(unnamed.model, "fit_finding", lambda case, k: None)
     monkeypatch.setattr(unnamed.plausible, "is_insignificant", lambda made: unsized)
     assert unnamed.departures_predict_held_out(explained, held(3.0, textbook, 1.0)) == departs
     assert unnamed.departures_predict_held_out(in_part, held(3.0, textbook, 1.0)) == departs

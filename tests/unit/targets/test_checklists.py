@@ -101,7 +101,7 @@ def test_a_cross_row_is_reached_from_both_sides_with_all_axes():
     text = checklist(target, target.read_back(target.write(only_y())), [], only_y())
     up, down = re.findall(r"[-+]\d+\.\d+", re.search(r"\| Y \| X \|.*", text)[0])[-2:]
     assert float(down) - float(up) == pytest.approx(-6.0, abs=0.1)
-    assert "with all axes from below, then all from above" in text
+    assert "from below, then from above, with all axes" in text
 
 
 @pytest.mark.parametrize("target", [t for t in TARGETS if t.numbering], ids=lambda t: t.name)

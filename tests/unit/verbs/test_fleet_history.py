@@ -151,7 +151,7 @@ def test_nothing_is_written_before_the_last_fit_is_judged(tmp_path: Path, monkey
         return Fitted(ErrorModel(components=()), {}, {})
 
     monkeypatch.setattr(Terms, "fit_batches", fit)
-    monkeypatch.setattr(_fleet_history.held_out, "judged_in_batches", lambda *_: ({"components": []}, {}))
+    monkeypatch.setattr(_fleet_history.held_out, "cross_validate_in_batches", lambda *_: ({"components": []}, {}))
     tasks = [(str(tmp_path / "p.yaml"), "a", [], str(tmp_path / "out"))]
     spec = load_pipeline(tmp_path / "p.yaml", STAGES)
     with pytest.raises(DataError, match="second: not determined"):
