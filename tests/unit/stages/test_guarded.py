@@ -112,7 +112,7 @@ def test_a_sensor_beyond_those_compared_is_kept_consistent_with_them(wrong):
 
 
 def test_a_kept_sensor_is_compared_with_the_replacement_of_one_that_failed():
-    """4 K less on T_housing, half of which an estimate from its reading would take off T_7; the replacement errs too."""
+    """4 K less on T_housing: half of it would be taken off T_7 by an estimate from the reading itself."""
     learnt, fresh = learn.learn(nine(8, 5), sensors.NAMES, ("T_7", "T_8", "T_9")), nine(4, 6)
     wrong = np.where(fresh.time() >= 7200.0, fresh.array("T_housing") - 4.0, fresh.array("T_housing"))
     failed = fresh.with_columns({"T_housing": wrong}, {})
