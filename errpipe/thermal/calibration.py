@@ -19,6 +19,7 @@ from errpipe.thermal.linear import LinearProblem
 # `spread.FITS`: 0.5 covers 0.90 on average, 0.35 0.89, and 85 to 95 % on 28 and 31 of 36 machines.
 SEASONS = 0.35
 LEAST = 0.01  # of the residual: a smaller variance between fits or families explains none of it (by judgement)
+ROUNDING = 1e-6  # um: a residual below it is rounding, so its variance has no shares (no gauge resolves it)
 
 
 def interval(
@@ -39,7 +40,8 @@ def interval(
     groups, rows = tuple(problem.groups), problem.rows
     way = groupings(problem.recording, problem.group, groups, environment)[0]
     fits = spread.between_fits(outcome, groups, way.folds, problem.recording, rows)
-    left = outcome.left.get(way.name, {}).get(MIXTURE, 0.0) ** 2
+    left = outcome.left.get(way.name, {}).get(MIXTURE, 0.0)
+    left = left**2 if left > ROUNDING else 0.0
     near = HALF in outcome.predictions or one_environment
     if near:
         offset, shares = 1.0, [(1.0 / left, fits, spread.squared(fits, problem.recording))] if left > 0.0 else []

@@ -11,6 +11,7 @@ from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.guard import in_table, learn
+from errpipe.guard import replace as replace_reading
 from errpipe.guard.detect import faults
 from errpipe.guard.rows import rows_of
 from errpipe.models.lagged import Lagged
@@ -83,7 +84,7 @@ def test_a_failed_sensor_is_stood_in_for(watched, way):
 
 def nine(runs: int, seed: int) -> Recording:
     """`measured`, with three further sensors between others, which the deviation follows too."""
-    rows, rng = measured(runs, seed), np.random.default_rng(seed)
+    rows, rng = measured(runs, seed), np.random.default_rng(1000 + seed)
     x = {n: rows.array(n) for n in sensors.NAMES}
     pairs = {"T_7": ("T_bearing", "T_housing"), "T_8": ("T_motor", "T_column"), "T_9": ("T_bed", "T_room")}
     more = {n: (x[a] + x[b]) / 2 + 0.05 * rng.standard_normal(len(rows)) for n, (a, b) in pairs.items()}
@@ -108,6 +109,16 @@ def test_a_sensor_beyond_those_compared_is_kept_consistent_with_them(wrong):
     free = in_table.without_guard(table)
     assert len(free.nodes) == len(judge.plain.nodes)
     assert np.array_equal(table_values(free, model, fresh)["E_Z"], table_values(judge.plain, model, fresh)["E_Z"])
+
+
+def test_a_kept_sensor_is_compared_with_the_replacement_of_one_that_failed():
+    """4 K less on T_housing: half of it would be taken off T_7 by an estimate from the reading itself."""
+    learnt, fresh = learn.learn(nine(8, 5), sensors.NAMES, ("T_7", "T_8", "T_9")), nine(4, 6)
+    wrong = np.where(fresh.time() >= 7200.0, fresh.array("T_housing") - 4.0, fresh.array("T_housing"))
+    failed = fresh.with_columns({"T_housing": wrong}, {})
+    for sensor in learnt.kept:
+        (counted,) = drive_all([replace_reading.guarded(d.Input(name=sensor.name), learnt)], failed).T
+        assert np.abs(counted - fresh.array(sensor.name)).max() < 1.0, sensor.name
 
 
 def test_a_table_without_its_guard_is_the_plain_one(watched):
