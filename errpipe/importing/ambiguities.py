@@ -69,15 +69,26 @@ def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> N
             )
 
 
+MOST_STATES = 4  # labels of a column of states; with more, it is one of remarks
+_OF_ANOTHER = re.compile(r"air|luft|material|wavelength|wellenlaenge|dead ?path|refract|tool|radius|cutter|werkzeug")
+_A_STATE = re.compile(
+    r"o(?:n|ff)|ein|aus|none|keine?|n(?:o|ein)|without|ohne|before|vor(?:her)?|raw|un[ck]omp\w*|original"
+)
+
+
 def _two_states(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Readings with and without compensation, by a column of two labels: `Comp` with off and on, or `before comp`."""
+    """Readings with and without compensation, by a column of few labels: `Comp` with off and on, or `before comp`."""
     for c in (c for c in layout.columns if not {c.header, slug(c.header)} & {*options.sets}):
-        labels = sorted({words.plain(text) for text in c.texts})
-        named = any(re.search(words.CORRECTION, text) for text in (words.plain(c.header), *labels))
-        unread = p.entries.get(p.names.get(c.header, ""), {}).get("role") in ("ignore", "run", "group")
-        if unread and named and len(labels) == 2:
+        role = p.entries.get(p.names.get(c.header, ""), {}).get("role")
+        texts = {*c.texts} if role in ("ignore", "run", "group") else {""}
+        if not 2 <= len(texts) <= (2 if c.numeric else MOST_STATES):
+            continue
+        labels, header = sorted(map(words.plain, texts)), words.plain(c.header)
+        named = re.search(words.CORRECTION, header) and not _OF_ANOTHER.search(header)
+        states = [re.search(words.CORRECTION, text) is not None for text in labels]
+        if named or (any(states) and all(s or _A_STATE.fullmatch(x) for s, x in zip(states, labels, strict=True))):
             raise DataError(
-                f"column {c.header!r} contains {' and '.join(labels)}: two states of the machine, and only readings "
+                f"column {c.header!r} contains {' and '.join(labels)}: states of the machine, and only readings "
                 f"without compensation are fitted. Keep their rows (if all are: --set '{c.header}.role=ignore')"
             )
 

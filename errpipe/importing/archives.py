@@ -104,7 +104,12 @@ def _without_prose(path: Path, names: list[str]) -> tuple[list[str], list[str]]:
 def remarks(folder: Path) -> Iterator[tuple[Path, list[str]]]:
     """The texts beside the measurements in a folder, with their lines."""
     for file in sorted(f for f in folder.iterdir() if f.is_file() and not f.is_symlink()):
-        if _PROSE.fullmatch(file.name) and file.suffix.lower() in _TEXTS and file.stat().st_size < LARGEST_REMARK:
+        if (
+            _PROSE.fullmatch(file.name)
+            and "licen" not in file.name.lower()
+            and file.suffix.lower() in _TEXTS
+            and file.stat().st_size < LARGEST_REMARK
+        ):
             yield file, file.read_text("utf-8", errors="replace").splitlines()
 
 

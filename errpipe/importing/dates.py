@@ -21,6 +21,7 @@ _DATE = re.compile(
     r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}"  # 20-Feb-2026
 )
 _CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AaPp]\.?[Mm]\.?)?")
+_CLOCK_BEHIND = re.compile(r"\D?\d{1,2}:\d\d")  # a date
 _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
 )
@@ -136,20 +137,22 @@ def order_of(form: str) -> str:
 def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
     """Raise DataError if a clock goes back once, by an hour less one step, as at the end of summer time, or by a day.
 
-    By a day less one step: past midnight with the date of the start.
+    By a day less one step, within one date: past midnight with the date of the start.
     """
     rows = np.flatnonzero(np.isfinite(since))
     steps = np.diff(since[rows])
     usual = float(np.median(steps)) if steps.size else 0.0
     back = np.flatnonzero(steps < 0)
-    if back.size and (np.abs(steps[back] + DAY - usual) <= FEW_STEPS * usual).all():
-        before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
+    pairs = [(str(c.cells[rows[i]]), str(c.cells[rows[i + 1]])) for i in back]
+    one_date = all(_CLOCK_BEHIND.split(a)[0] == _CLOCK_BEHIND.split(b)[0] for a, b in pairs)
+    if pairs and one_date and (np.abs(steps[back] + DAY - usual) <= FEW_STEPS * usual).all():
+        before, after = pairs[0]
         raise DataError(
             f"column {c.header!r}: {after!r} follows {before!r}: the clock passes midnight, and the date does not "
             "change: write the date of each row"
         )
-    if back.size == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
-        before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
+    if len(pairs) == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
+        before, after = pairs[0]
         raise DataError(
             f"column {c.header!r}: {after!r} follows {before!r}, one hour back: the end of summer time? Write the "
             "times in UTC or with their zone (2026-10-25T02:10:00+02:00, ... +01:00)"

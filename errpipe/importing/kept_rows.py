@@ -28,6 +28,7 @@ def readings(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
 
 MOVING = ("command", "position", "actual", "error")
 LESS_FAR = 0.9  # of the row-to-row path of the columns in file order
+FALLING = 0.3  # share of the rows that are earlier than the one above: in whole minutes, three rows a minute
 OWN_ROWS = 0.5  # share of the rows of positions: with more, a sensor was read there
 MOST_REPEATED = 0.1  # share of the rows: above it, the clock of the log is coarse
 
@@ -36,22 +37,25 @@ def in_order_of_time(layout: Layout, guesses: Guesses) -> Layout:
     """The rows sorted by date, if positions and readings then change less from row to row; else in file order.
 
     A clock that was set back interleaves what it wrote before and after: its order is not that of the readings.
-    If every date is earlier than the one above, the newest row is the first: the rows are reversed.
+    If no date or clock is later than the one above, and most are earlier, the newest row is the first: the rows are
+    reversed. With fewer, a date may stand for a whole run, whose rows are in order.
     """
     clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and not c.numeric), None)
     t, epoch, _ = (dates.seconds(clock) if clock else None) or (np.zeros(1), None, "")
     moving = [c.values for c in layout.columns if guesses[c.header].kind in MOVING and c.numeric and np.any(c.values)]
     of_runs = any(g.kind in ("run", "group") for g in guesses.values())
     order, falls = np.argsort(t, kind="stable"), int((np.diff(t) < 0).sum())
-    newest_first = falls == t.size - 1
-    if not falls or epoch is None or not moving or np.isnan(t).any() or (of_runs and not newest_first):
+    newest_first = bool((np.diff(t) <= 0).all()) and falls > FALLING * (t.size - 1)
+    if not falls or not moving or np.isnan(t).any() or ((of_runs or epoch is None) and not newest_first):
         return layout
     far = [sum(np.nansum(np.abs(np.diff(v[i]))) / np.nanmax(np.abs(v)) for v in moving) for i in (..., order)]
     if far[1] > LESS_FAR * far[0] and not newest_first:
         return layout
+    order = np.arange(t.size)[::-1] if newest_first else order
     parts = [c.take(order) for c in layout.columns]
-    notes = [*layout.notes, f"{falls} rows were earlier than the row above: rows sorted by date"]
-    return Layout(parts, layout.above, notes, layout.below)
+    note = f"{falls} rows were earlier than the row above: rows "
+    note += "reversed, the newest was the first" if newest_first else "sorted by date"
+    return Layout(parts, layout.above, [*layout.notes, note], layout.below)
 
 
 SLOW = ("temperature", "pressure", "humidity")  # sensors whose last reading stands for the next seconds

@@ -38,11 +38,11 @@ from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
 from errpipe.importing.units_above import unit_above
+from errpipe.importing.unstated import refuse_enlarged
 from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # Possible unknown units: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
-_ENLARGED = re.compile(r"(?<![^\W_])[x×*]\s?10+(?![\d.,^]|\s?(?:[uµμ]?m|in)\b)|\b10+\s?(?:[x×]|:\s?1)(?![^\W_])")
 OF_A_COUNT = ", times --resolution"
 _NO_UNIT = ("64 bit", "32 bit", "x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
@@ -83,8 +83,10 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
     stated = next((line for line in layout.above if axis_above([line])), None)
-    if options.axis is None and stated is not None:
+    if stated is not None and options.axis is None:
         proposal.notes.append(f"the axis is {axis_above([stated])}, from {stated[:60]!r} (to change it: --axis)")
+    elif stated is not None and options.axis != axis_above([stated]):
+        proposal.notes.append(f"the axis is {options.axis}, by --axis; {stated[:60]!r} states {axis_above([stated])}")
     wide_layout = wide.find(layout, guesses)
     guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
     axis = options.axis or _axis(layout, guesses, wide_layout, options.component)
@@ -229,7 +231,7 @@ def _wide_readings(
     headers = tuple(c.header for c, _, _ in table.readings)
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     for header in headers:
-        refuse_enlarged(header)
+        refuse_enlarged(header, options)
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
     unit = resolve.stated_unit(options, stated[0] if stated else unit_above(layout.above, values), headers[0])
@@ -268,6 +270,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     elif g.kind in ("error", "simulated"):
         component = stated.get("component") or options.component or guessing.component_in(c.header)
         component = component or (simulated.component_of_force(c.header, unit, own) if g.kind == "simulated" else None)
+        refuse_enlarged(c.header, options)
         _response(c, g.kind, own, resolve.stated_unit(options, unit, c.header), why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
@@ -357,15 +360,6 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
     p.put(f"actual_{axis}", None, role="actual", axis=axis, unit=unit, derived=derived)
 
 
-def refuse_enlarged(header: str) -> None:
-    """Raise DataError for readings that a header says are multiplied: `Deviation x100 (um)`, as drawn in a plot."""
-    if factor := _ENLARGED.search(header):
-        raise DataError(
-            f"column {header!r}: are its readings multiplied ({factor.group().strip()})? Write them as they are, or "
-            f"say what one is worth: --set '{header}.unit=0.01 um' for um times 100"
-        )
-
-
 def _response(
     c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, moved: str, p: Proposal
 ) -> None:
@@ -373,7 +367,6 @@ def _response(
     magnitude = re.search(r"^\|.*\||\b(abs(olute|olut\w*)?|magnitude|betrag)\b", c.header, re.IGNORECASE)
     if magnitude and not np.any(c.values < 0):
         raise DataError(f"column {c.header!r} may have magnitudes without sign (if not: rename it, or --set its role)")
-    refuse_enlarged(c.header)
     if component is None:
         of_a_screw = unit in ("um", "mm", "nm") and re.search(r"\bpitch\b", plain(c.header))
         component = None if of_a_screw else guessing.other_component(c.header, moved)

@@ -18,7 +18,7 @@ from errpipe.importing import columns as guessing
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.units import PER_LENGTH, plain_unit
-from errpipe.importing.unstated import PLACES, resolve_units
+from errpipe.importing.unstated import PLACES, refuse_a_scale, resolve_units
 from errpipe.importing.words import axis_above
 
 MOST_NAMED = 6  # columns in a message, those with a role first
@@ -234,6 +234,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
     simulated.change_signs(p, simulated.positions_as_deviations(p))
+    refuse_a_scale(p, layout.above)
     if not any(e["role"] == "error" for e in p.entries.values()):
         known = sorted(p.entries, key=lambda n: p.entries[n]["role"] == "ignore")
         have = ", ".join(_found(p, n) for n in known[:MOST_NAMED])

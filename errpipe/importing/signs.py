@@ -278,9 +278,18 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
         )
 
 
+_SIGNED = re.compile(r"\bsigns?\b", re.IGNORECASE)
+_READINGS_OR_SIGNS = re.compile(
+    r"\b(?:err(?:or)?s?|dev\w*|readings?|values?|convention|positive|negative|plus|minus|correct\w*|opposite|revers\w*)\b"
+    r"|\bsigns?\b ?[:=]|(?<!\w)[+-](?!\w)"
+)
+
+
 def refuse_beside(p: Proposal, lines: Iterable[str], of: object) -> None:
     """Raise DataError if a text beside the table states a sign that the table does not: a README, a sheet of notes."""
     for line in lines if any(ASSUMED in why for why in p.guesses.values()) else ():
+        if _SIGNED.search(line) and not _READINGS_OR_SIGNS.search(words.plain(line)):
+            continue  # `please sign in`
         stated = words.difference(line)
         if stated[0] <= 0 if stated else _titles_corrections(line) or _states_a_sign(line):
             raise DataError(

@@ -10,14 +10,57 @@ import numpy as np
 from errpipe.errors import DataError
 from errpipe.importing import order, readings
 from errpipe.importing.layout import Layout
-from errpipe.importing.proposed import Proposal
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.temperatures import START
 from errpipe.importing.units import split_header
+from errpipe.importing.words import plain
 
 FEWEST_APART = 2  # temperatures of a file: a single one may be of a part that was warm in one run alone
 COLDEST_K = 200.0  # K: below any machine
 LONGEST_STEP = 0.5  # s, by judgement: longer steps are rare in a log of a moving axis; in ms they are usual
 PLACES = ("command", "position", "actual")
+
+
+_SCALE = re.compile(  # of a gauge: `1 div = 0.001 mm`
+    r"\b(?:1 ?|one |ein )?(?:div(?:isions?)?|teilstrich\w*|teilung|skt|graduations?|counts?|inkremente?|digits?|lsb)\b"
+    r"\.? ?[=:] ?(\d*[.,]?\d+ ?(?:mm|um|µm|μm|nm|inch|in)\b)",
+    re.IGNORECASE,
+)
+
+
+def refuse_a_scale(p: Proposal, above: Iterable[str]) -> None:
+    """Raise DataError if a line states the scale of a gauge, and readings are in divisions, or state no unit."""
+    scale = next((m[1].replace(",", ".") for line in above if (m := _SCALE.search(line))), None)
+    if scale is None:
+        return
+    errors = [n for n, e in p.entries.items() if e["role"] == "error"]
+    guessed = next((n for n in errors if "no unit is stated" in p.guesses.get(n, "")), None)
+    if guessed is not None:
+        raise DataError(f"{guessed!r} states no unit, and a line above a division of {scale}: --unit '{scale}', or um?")
+    counts = next((n for n, e in p.entries.items() if "counts need --resolution" in p.guesses.get(n, "")), None)
+    if counts is not None and not errors:
+        raise DataError(
+            f"{counts!r} is in divisions, of {scale} by a line above: deviations (--set {counts}.role=error "
+            f"--set '{counts}.unit={scale}'), or positions (--resolution, in mm or deg of one)?"
+        )
+
+
+_ENLARGED = re.compile(r"(?<![^\W_])[x×*]\s?10+(?![\d.,^]|\s?(?:[uµμ]?m|in)\b)|\b10+\s?(?:[x×]|:\s?1)(?![^\W_])")
+_OF_SEVERAL = re.compile(
+    r"\b(mean|avg|average\w*|mittel\w*|median|repeat\w*|wiederhol\w*|readings|messungen|moyenne|media)\b"
+)
+
+
+def refuse_enlarged(header: str, options: ImportOptions) -> None:
+    """Raise DataError for readings that a header says are multiplied: `Deviation x100 (um)`, as drawn in a plot."""
+    stated = options.unit or any("unit" in options.sets.get(name, {}) for name in (header, slug(header)))
+    factor = None if stated or _OF_SEVERAL.search(plain(header)) else _ENLARGED.search(header)
+    if factor is not None:
+        times = max(map(int, re.findall(r"\d+", factor.group())))
+        raise DataError(
+            f"column {header!r}: are its readings multiplied ({factor.group().strip()})? Write them as they are, or "
+            f"say what one is worth: --set '{header}.unit={1 / times:g} um' for um times {times}"
+        )
 
 
 def _of_heat(p: Proposal) -> list[str]:

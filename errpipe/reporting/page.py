@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
-MAX_DECIMALS = 6  # a smaller number is shown with four significant digits
+MAX_DECIMALS = 6  # a smaller number is shown with significant digits, four or those of its interval
+MAX_DIGITS = 12  # of a number in a table
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -21,10 +22,13 @@ def number(value: float | None, digits: int = 3) -> str:
 def within(value: float, interval: Sequence[float] | None) -> str:
     """A value, or an end of its 95 % interval, with the decimals of two digits of half the interval (GUM, 7.2.6)."""
     half = (interval[1] - interval[0]) / 2 if interval else 0.0
-    if not 0 < half < math.inf:
+    if not 0 < half < math.inf or not math.isfinite(value):
         return number(value, 4)
     decimals = 1 - math.floor(math.log10(half))
-    return fixed(value, decimals) if 0 <= decimals <= MAX_DECIMALS else number(value, 4)
+    if 0 <= decimals <= MAX_DECIMALS:
+        return fixed(value, decimals)
+    before = math.floor(math.log10(abs(value))) + 1 if value else 0
+    return number(value, max(4, min(before + decimals, MAX_DIGITS)))
 
 
 def probability(value: float | None) -> str:

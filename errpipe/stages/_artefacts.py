@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from errpipe import jsonfile
-from errpipe.errors import DataError, MissingColumn, VerifyError, first_problem
+from errpipe.errors import DataError, MissingColumn, UsageError, VerifyError, first_problem
 from errpipe.pipeline.stage import Context
 
 if TYPE_CHECKING:
@@ -173,12 +173,20 @@ def write_table(folder: Path, table: CompensationTable) -> None:
         raise VerifyError("export: the table read back from its file is not the table that was written")
 
 
+def _refuse_folder(path: Path, needed: str) -> None:
+    """Raise UsageError for a folder, with a table in it if there is one."""
+    if path.is_dir():
+        inside = next((f for f in ("table.ect", "export/table.ect") if (path / f).is_file()), None)
+        raise UsageError(f"{path}: is a folder ({needed} is needed{f': {path / inside}' if inside else ''})")
+
+
 def read_table(path: Path) -> CompensationTable:
     """A compensation table, binary or JSON twin. Raises DataError without a file, VerifyError if it is not a table."""
     from errpipe.tables import ect
 
     if not Path(path).exists():
         raise DataError(f"{path}: there is no such file (a compensation table is needed)")
+    _refuse_folder(Path(path), "a compensation table")
     return ect.read_either(Path(path))
 
 
@@ -187,6 +195,7 @@ def model_or_table(path: Path) -> ErrorModel | CompensationTable:
     from errpipe.tables import ect
 
     path = Path(path)
+    _refuse_folder(path, "an error model or a compensation table")
     if not path.is_file():
         raise DataError(f"{path}: there is no such file (an error model or a compensation table is needed)")
     if path.suffix == ".ect" or ect.sniff(path):

@@ -82,15 +82,53 @@ def test_the_newest_row_may_come_first(tmp_path: Path) -> None:
     assert np.all(np.diff(recording.array(str(recording.name("time")))) > 0)
 
 
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M", "%H:%M:%S"])
+def test_the_newest_row_may_come_first_by_a_coarse_clock_or_one_without_a_date(tmp_path: Path, form: str) -> None:
+    stamps = [START.replace(hour=8) + timedelta(seconds=30 * i) for i in range(len(long_rows()))]
+    rows = [f"{t.strftime(form)};{row}" for t, row in zip(stamps, lines()[1:], strict=True)]
+    recording = imported(tmp_path, written(tmp_path / "f.csv", ["Timestamp;" + HEAD, *rows[::-1]]))
+    is_the_known_test(recording)
+    assert np.all(np.diff(recording.array(str(recording.name("time")))) >= 0)
+
+
+def test_days_of_whole_runs_leave_the_order_of_the_rows(tmp_path: Path) -> None:
+    days = [f"2026-05-{9 - int(run):02d};{x};{d:.1f}" for run, x, _, d in long_rows()]  # the last run first
+    proposal, _ = prepared([written(tmp_path / "f.csv", ["Date;Target X (mm);Deviation (um)", *days])])
+    assert proposal.data["Deviation"] == pytest.approx([d for *_, d in long_rows()], abs=0.06)
+    assert not any("reversed" in note for note in proposal.notes)
+
+
+def test_dates_that_fall_are_read_in_the_order_of_day_and_month_that_is_shorter(tmp_path: Path) -> None:
+    rows = [f"{day:02d}/02/2026 08:00:00;{day / 2}" for day in range(9, 0, -1)]
+    file = written(tmp_path / "f.csv", ["Time;Z growth (um)", *rows])
+    proposal, _ = prepared([file], component="E_Z")
+    assert np.ptp(proposal.data["t"]) == pytest.approx(8 * 86400.0)
+
+
 @pytest.mark.parametrize(("header", "labels"), [("Comp", ("off", "on")), ("State", ("before comp.", "after comp."))])
 def test_rows_with_and_without_compensation_are_asked_about(
     tmp_path: Path, header: str, labels: tuple[str, str]
 ) -> None:
     rows = [f"{labels[i]};{row}" for i, k in enumerate((1.0, 0.4)) for row in lines(times=k)[1:]]
     file = written(tmp_path / "f.csv", [f"{header};{HEAD}", *rows])
-    with pytest.raises(DataError, match=f"{header!r} contains .*two states of the machine"):
+    with pytest.raises(DataError, match=f"{header!r} contains .*: states of the machine"):
         prepared([file])
     prepared([file], sets=[f"{header}.role=ignore"])
+
+
+def test_three_states_of_a_compensation_are_asked_about(tmp_path: Path) -> None:
+    rows = [f"{state};{row}" for state in ("off", "on", "on + temp") for row in lines()[1:]]
+    with pytest.raises(DataError, match="'Comp' contains off and on and on \\+ temp"):
+        prepared([written(tmp_path / "f.csv", [f"Comp;{HEAD}", *rows])])
+
+
+@pytest.mark.parametrize(
+    ("header", "labels"),
+    [("Comment", ("ok", "cable corr.")), ("Air comp.", ("manual", "auto")), ("Tool comp", ("G41", "G42"))],
+)
+def test_remarks_and_other_compensations_are_not_states(tmp_path: Path, header: str, labels: tuple[str, str]) -> None:
+    rows = [f"{labels[i == 3]};{row}" for i, row in enumerate(lines()[1:])]
+    is_the_known_test(imported(tmp_path, written(tmp_path / "f.csv", [f"{header};{HEAD}", *rows])))
 
 
 def test_a_line_on_diameter_programming_is_asked_about(tmp_path: Path) -> None:
@@ -111,6 +149,18 @@ def test_a_readme_that_states_the_sign_is_asked_about(tmp_path: Path) -> None:
     prepared([folder], sign="commanded-minus-actual")
 
 
+def test_a_licence_and_prose_beside_a_table_state_no_sign(tmp_path: Path) -> None:
+    folder = tmp_path / "X axis"
+    folder.mkdir()
+    written(folder / "laser.csv", one_way())
+    written(folder / "LICENSE", ["your employer, if any, to sign a copyright disclaimer", "times -1 of the values"])
+    written(folder / "README.md", ["# Laser test", "To see the data please sign in at the portal."])
+    prepared([folder])
+    written(folder / "README.md", ["# Laser test", "The sign of the readings is inverted."])
+    with pytest.raises(DataError, match=r"README\.md states 'The sign of the readings is inverted"):
+        prepared([folder])
+
+
 def test_a_sheet_of_notes_that_states_the_sign_is_asked_about(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     book.active.title = "Info"
@@ -127,8 +177,20 @@ def test_a_sheet_of_notes_that_states_the_sign_is_asked_about(tmp_path: Path) ->
 @pytest.mark.parametrize("header", ["Deviation x100 (um)", "Deviation (um), 100:1"])
 def test_multiplied_readings_are_asked_about(tmp_path: Path, header: str) -> None:
     file = written(tmp_path / "f.csv", lines(HEAD.replace("Deviation (um)", header), 100.0))
-    with pytest.raises(DataError, match="are its readings multiplied"):
+    with pytest.raises(DataError, match=r"are its readings multiplied .*unit=0\.01 um' for um times 100"):
         prepared([file])
+
+
+def test_the_factor_of_multiplied_readings_is_that_of_the_header(tmp_path: Path) -> None:
+    file = written(tmp_path / "f.csv", lines(HEAD.replace("Deviation", "Deviation x1000"), 1000.0))
+    with pytest.raises(DataError, match=r"unit=0\.001 um' for um times 1000"):
+        prepared([file])
+    is_the_known_test(imported(tmp_path, file, sets=["Deviation x1000.unit=0.001 um"]), "Deviation_x1000")
+
+
+def test_a_mean_of_ten_readings_is_not_multiplied(tmp_path: Path) -> None:
+    file = written(tmp_path / "f.csv", lines(HEAD.replace("Deviation", "Deviation, mean of 10 x")))
+    is_the_known_test(imported(tmp_path, file), "Deviation_mean_of_10_x")
 
 
 def test_a_row_of_means_and_a_line_of_the_unit_leave_runs_and_sides_of_a_table_across(tmp_path: Path) -> None:
@@ -150,3 +212,35 @@ def test_a_clock_that_passes_midnight_on_the_date_of_the_start_is_asked_about(tm
     of_the_start = [f"2026-05-03;{row.partition(';')[2]}" for row in dated]
     with pytest.raises(DataError, match="passes midnight, and the date does not change"):
         prepared([written(tmp_path / "f.csv", [head, *of_the_start])], component="E_Z")
+
+
+def test_a_series_of_days_that_starts_again_does_not_pass_midnight(tmp_path: Path) -> None:
+    rows = [f"2026-05-{day:02d};{x};{x / 40}" for x in range(0, 320, 80) for day in (3, 4, 5)]
+    prepared([written(tmp_path / "f.csv", ["Date;Target X (mm);Deviation (um)", *rows])])
+
+
+@pytest.mark.parametrize(
+    ("line", "header", "question"),
+    [
+        (
+            "Gauge: 1 div = 0.001 mm",
+            "Reading (div)",
+            r"'Reading_div' is in divisions, of 0\.001 mm .*Reading_div.unit=",
+        ),
+        ("1 Teilstrich = 0,01 mm", "Deviation", r"'Deviation' states no unit, .* a division of 0\.01 mm: --unit"),
+    ],
+)
+def test_the_scale_of_a_gauge_is_asked_about(tmp_path: Path, line: str, header: str, question: str) -> None:
+    file = written(tmp_path / "f.csv", [line, *lines(HEAD.replace("Deviation (um)", header))])
+    with pytest.raises(DataError, match=question):
+        prepared([file])
+    stated = lines()
+    prepared([written(tmp_path / "f.csv", [line, *stated])])
+
+
+def test_an_axis_of_the_command_line_that_a_line_contradicts_is_named(tmp_path: Path) -> None:
+    file = written(tmp_path / "f.csv", ["Achse X", *lines(HEAD.replace("Target X", "Target"))])
+    proposal, _ = prepared([file], axis="Y")
+    assert "the axis is Y, by --axis; 'Achse X' states X" in proposal.notes
+    proposal, _ = prepared([file], axis="X")
+    assert not any("by --axis" in note for note in proposal.notes)

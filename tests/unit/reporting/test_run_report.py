@@ -94,6 +94,9 @@ def test_the_words_are_those_of_the_glossary(report):
         (1234.56, (1200.0, 1270.0), "1235"),
         (12.0, None, "12"),
         (3.0, (3.0, 3.0), "3"),
+        (1.23456789, (1.23456784, 1.23456794), "1.23456789"),
+        (212346.0, (212225.0, 212465.0), "212350"),
+        (float("nan"), (0.0, 1.0), "–"),
     ],
 )
 def test_a_parameter_has_the_decimals_that_its_interval_supports(value, interval, text):
