@@ -38,7 +38,7 @@ def program(plan: Plan) -> str:
         )
     name = re.sub(r"[^ -'*-~]", "_", plan.chain.machine.name)
     lines = ["%", f"(measuring plan for {name}: {len(plan.blocks)} blocks, {plan.minutes:.0f} min)", *SET_UP]
-    low, high = plan.means.reach
+    low, high = plan.equipment.reach
     lines += [f"M0 (MSG, for a bar of {low:g} to {high:g} mm: no other)", _retract(plan)]
     before: Block | None = None
     for number, b in enumerate(plan.blocks, start=1):
@@ -64,12 +64,12 @@ def _stops_to_place(b: Block, before: Block | None) -> list[str]:
 
 def _retract(plan: Plan) -> str:
     axis, end = retraction(plan.chain)
-    return f"G1 {_word(plan, axis, end)} F{plan.means.approach_feed:.0f}"
+    return f"G1 {_word(plan, axis, end)} F{plan.equipment.approach_feed:.0f}"
 
 
 def _approach(plan: Plan, b: Block, before: Block | None) -> list[str]:
     """From the retracted position to the first of a block; from anywhere for the first block: every axis is named."""
-    feed = f"F{plan.means.approach_feed:.0f}"
+    feed = f"F{plan.equipment.approach_feed:.0f}"
     if before is None:
         moves = approach(plan.chain, np.full(len(plan.chain.axes), np.nan), b.q[0])
         return [f"G1 {_word(plan, i, end)} {feed}" for i, end in moves]
@@ -90,13 +90,13 @@ def _measured(plan: Plan, b: Block) -> list[str]:
     F counts the linear axes of a move, or the rotary ones if none moves (LinuxCNC, G94); it is lower than the plan's
     feed where a rotary axis takes longer, so that ball and rotary axes are never faster.
     """
-    dwell = f"G4 P{plan.means.dwell:.1f}"
+    dwell = f"G4 P{plan.equipment.dwell:.1f}"
     kinds = np.array([plan.chain.machine.axes[a].kind == "linear" for a in plan.chain.axes])
     lines = [dwell]
     for i in range(1, len(b.q)):
         step = b.q[i] - b.q[i - 1]
         counted = np.linalg.norm(step[kinds]) or np.linalg.norm(step)
-        feed = plan.means.feed * min(1.0, counted / move_length(b, i))
+        feed = plan.equipment.feed * min(1.0, counted / move_length(b, i))
         words = " ".join(_word(plan, a, v) for a, v in enumerate(b.q[i]))
         lines += [f"G1 {words} F{max(feed, 1.0):.0f}", dwell]
     return lines

@@ -59,7 +59,7 @@ class Plan:
     blocks: tuple[Block, ...]
     minutes: float
     open: tuple[observability.Unobserved, ...]
-    means: Equipment
+    equipment: Equipment
 
     def observations(self) -> o.Observations:
         """All blocks as one test without readings."""
@@ -67,7 +67,7 @@ class Plan:
 
 
 def propose(
-    chain: Chain, *, means: Equipment | None = None, without: tuple[str, ...] = (), positions: int = 40
+    chain: Chain, *, equipment: Equipment | None = None, without: tuple[str, ...] = (), positions: int = 40
 ) -> Plan:
     """A measuring plan for a telescoping bar.
 
@@ -76,23 +76,25 @@ def propose(
     """
     if not any(axis.kind == "linear" for axis in chain.machine.axes.values()):
         raise DataError(f"{chain.machine.name} has no linear axis that retracts the tool from the bar")
-    means = means or Equipment(tools=default_tools(chain))
+    equipment = equipment or Equipment(tools=default_tools(chain))
     rng = np.random.default_rng(0)
     blocks = []
     for socket in default_sockets(chain):
-        for length, offset in means.tools:
-            blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, means, positions, rng)
+        for length, offset in equipment.tools:
+            blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, equipment, positions, rng)
     if not blocks:
-        raise DataError(f"a bar of {means.reach[0]:g}..{means.reach[1]:g} mm reaches no position from these sockets")
+        raise DataError(
+            f"a bar of {equipment.reach[0]:g}..{equipment.reach[1]:g} mm reaches no position from these sockets"
+        )
     model = observability.coarse(chain, without)
-    gains = [observability.information(model, b.observations, means.noise)[0] for b in blocks]
-    chosen = _greedy(gains, blocks, means)
+    gains = [observability.information(model, b.observations, equipment.noise)[0] for b in blocks]
+    chosen = _greedy(gains, blocks, equipment)
     order = sorted(chosen, key=lambda i: (blocks[i].socket, blocks[i].length, blocks[i].offset, i))
     picked = tuple(blocks[i] for i in order)
-    minutes = _seconds(picked, means) / 60.0
+    minutes = _seconds(picked, equipment) / 60.0
     test = o.concatenate([b.observations for b in picked])
-    result = observability.analyse_observability(chain, test, noise=means.noise, without=without)
-    return Plan(chain, picked, minutes, result.unobserved, means)
+    result = observability.analyse_observability(chain, test, noise=equipment.noise, without=without)
+    return Plan(chain, picked, minutes, result.unobserved, equipment)
 
 
 def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
@@ -127,13 +129,13 @@ def _box(chain: Chain) -> np.ndarray:
     return travel
 
 
-def _blocks(chain, socket, length, offset, means: Equipment, positions: int, rng) -> list[Block]:
+def _blocks(chain, socket, length, offset, equipment: Equipment, positions: int, rng) -> list[Block]:
     """Blocks within the bar's reach of one socket with one tool: two independent random samples of the volume."""
     box, tip = _box(chain), chain.tip(length, offset)
     q = rng.uniform(box[:, 0], box[:, 1], (positions * 60, len(chain.axes)))
     edge = rng.random(q.shape) < 0.25
     q = np.where(edge, np.where(rng.random(q.shape) < 0.5, box[:, 0], box[:, 1]), q)
-    clearance = Clearance(chain, socket, length, _triple(offset), means.reach)
+    clearance = Clearance(chain, socket, length, _triple(offset), equipment.reach)
     q = q[clearance.is_measurable(q)]
     q = q[np.sort(np.unique(q, axis=0, return_index=True)[1])]
     blocks = []
@@ -173,7 +175,7 @@ def _short_path(q: np.ndarray, box: np.ndarray, clearance: Clearance) -> np.ndar
     return q[order]
 
 
-def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> list[int]:
+def _greedy(gains: list[np.ndarray], blocks: list[Block], equipment: Equipment) -> list[int]:
     """Greedy selection by information gain per second until all is observed or no block reaches MIN_GAIN."""
     p = len(gains[0])
     known = np.eye(p)
@@ -190,17 +192,17 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> l
             after = np.linalg.eigvalsh(np.linalg.inv(known + gain))
             shown = int((variances > observability.UNOBSERVED).sum() - (after > observability.UNOBSERVED).sum())
             score = np.linalg.slogdet(known + gain)[1] - before + SHOWN * shown
-            score_per_second = score / _more_seconds(blocks, chosen, i, means)
+            score_per_second = score / _more_seconds(blocks, chosen, i, equipment)
             if score_per_second > best_rate:
                 best, best_rate = i, score_per_second
         if best < 0:
             break
         chosen.append(best)
         known = known + gains[best]
-    return _pruned(chosen, gains, blocks, means)
+    return _pruned(chosen, gains, blocks, equipment)
 
 
-def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> list[int]:
+def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], equipment: Equipment) -> list[int]:
     """The selection without redundant blocks (all observed combinations are kept), the slowest dropped first."""
 
     def unobserved(rows: list[int]) -> int:
@@ -208,26 +210,26 @@ def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], mea
         return int((np.linalg.eigvalsh(np.linalg.inv(known)) > observability.UNOBSERVED).sum())
 
     kept, unobserved_with_all = list(chosen), unobserved(chosen) if chosen else 0
-    for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], means)):
+    for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], equipment)):
         others = [j for j in kept if j != i]
         if others and unobserved(others) <= unobserved_with_all:
             kept = others
     return kept
 
 
-def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Equipment) -> float:
+def _more_seconds(blocks: list[Block], chosen: list[int], i: int, equipment: Equipment) -> float:
     new = blocks[i]
     socket = not any(blocks[j].socket == new.socket for j in chosen)
     tool = not any(
         blocks[j].socket == new.socket and (blocks[j].length, blocks[j].offset) == (new.length, new.offset)
         for j in chosen
     )
-    return _path_seconds(new, means) + socket * means.socket_change + tool * means.tool_change
+    return _path_seconds(new, equipment) + socket * equipment.socket_change + tool * equipment.tool_change
 
 
-def _path_seconds(block: Block, means: Equipment) -> float:
+def _path_seconds(block: Block, equipment: Equipment) -> float:
     way = sum(move_length(block, i) for i in range(1, len(block.q)))
-    return way / means.feed * 60.0 + means.dwell * len(block.q) + means.attach
+    return way / equipment.feed * 60.0 + equipment.dwell * len(block.q) + equipment.attach
 
 
 def move_length(block: Block, i: int) -> float:
@@ -236,14 +238,14 @@ def move_length(block: Block, i: int) -> float:
     return max(block.clearance.ball_path(start, end), float(np.abs(end - start).max()))
 
 
-def _seconds(blocks: Sequence[Block], means: Equipment) -> float:
-    total = sum(_path_seconds(b, means) for b in blocks)
+def _seconds(blocks: Sequence[Block], equipment: Equipment) -> float:
+    total = sum(_path_seconds(b, equipment) for b in blocks)
     before = None
     for b in blocks:
         if before is None or b.socket != before.socket:
-            total += means.socket_change
+            total += equipment.socket_change
         if before is None or (b.socket, b.length, b.offset) != (before.socket, before.length, before.offset):
-            total += means.tool_change
+            total += equipment.tool_change
         before = b
     return total
 

@@ -38,7 +38,7 @@ def measure(
         raise UsageError(f"--without {unknown[0]}: {chain.machine.name} has no such component.{near}")
     proposal = plan.propose(
         chain,
-        means=plan.Equipment(tools=plan.default_tools(chain), reach=reach),
+        equipment=plan.Equipment(tools=plan.default_tools(chain), reach=reach),
         without=tuple(without),
         positions=positions,
     )

@@ -68,12 +68,12 @@ def test_an_attached_bar_stays_within_its_reach_and_above_the_socket(name):
         if before is None:
             assert size[0] == pytest.approx(bar, abs=1e-3)
         before = bar
-        assert size.min() >= proposed.means.reach[0] and size.max() <= proposed.means.reach[1]
+        assert size.min() >= proposed.equipment.reach[0] and size.max() <= proposed.equipment.reach[1]
         assert ((block.socket - ball) @ towards).min() > 15.0
         assert ((block.socket - points(proposed, start, end, block, 0.0)) @ towards).min() > 15.0
         seconds = duration(proposed.chain, start, end, feed)
         way = np.linalg.norm(np.diff(ball, axis=0), axis=1).sum()
-        assert way <= 1.01 * proposed.means.feed / 60.0 * seconds + 0.01
+        assert way <= 1.01 * proposed.equipment.feed / 60.0 * seconds + 0.01
 
 
 def duration(chain, start, end, feed):
@@ -93,7 +93,7 @@ def test_without_a_bar_one_axis_moves_at_a_time_and_clear_of_the_socket(name):
         assert (end[known] >= low[known]).all() and (end[known] <= high[known]).all()
         if bar is not None:
             continue
-        assert np.sum((start != end) & known) <= 1 and feed == proposed.means.approach_feed
+        assert np.sum((start != end) & known) <= 1 and feed == proposed.equipment.approach_feed
         if not np.isnan(start).any() and number <= len(proposed.blocks):
             block = proposed.blocks[number - 1]
             size = np.linalg.norm(points(proposed, start, end, block) - block.socket, axis=1)
