@@ -19,14 +19,18 @@ def command(
     positions: int = typer.Option(
         40, "--positions", metavar="N", min=6, max=500, help="Positions per socket and tool."
     ),
+    reach: tuple[float, float] = typer.Option(
+        (150.0, 1200.0), "--reach", metavar="MIN MAX", help="Shortest and longest length of the bar, mm."
+    ),
     json: bool = Json,
 ) -> None:
     """Plan a test that shows all errors of a machine, as G-code.
 
     A telescoping ball bar from a few sockets with a few tools, in minimum time; unobservable components are listed.
+    Positions are machine coordinates; M0 stops say when to attach and to detach the bar. Run it without a bar first.
 
     \b
     Example:
       errpipe measure examples/machines/vertical-centre.yaml --out plan.ngc
     """
-    print_answer("measure", module_of("stages.measure").measure(machine, out, without, positions), as_json=json)
+    print_answer("measure", module_of("stages.measure").measure(machine, out, without, positions, reach), as_json=json)

@@ -1,7 +1,7 @@
 """Calibrated confidence of a finding: two logistic regressions with few inputs, fitted on generated cases.
 
-`admission` is the probability that a named effect accounts for the structure at all; `naming` that the name is
-right. The constants were fitted on cases of this project's own blind trials (seeds and counts given with them).
+`admission` is the probability that a named effect accounts for the structure at all; `name_probability` that the
+name is right. The constants were fitted on cases of this project's own blind trials (seeds and counts given with them).
 """
 
 from __future__ import annotations

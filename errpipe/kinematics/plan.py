@@ -1,4 +1,4 @@
-"""Test design: bar sockets, tools and positions that show every component in the least time, as an NC program.
+"""Test design: bar sockets, tools and positions that show every component in the least time.
 
 Blocks of measurement (one socket and one tool, a short path of ball positions) are added one after the other,
 each the one with the largest information gain per minute, including set-up times, until every combination of
@@ -16,9 +16,11 @@ from errpipe.errors import DataError
 from errpipe.kinematics import observability, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain, combinations
+from errpipe.kinematics.clearance import Clearance
 
 SHOWN = 20.0  # nats for a newly observed combination: observing all has priority over precision
 MAX_BLOCKS = 24  # of a plan (by judgement)
+MIN_SHARE = 0.5  # of the positions of a block that permitted moves reach (by judgement)
 MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
@@ -33,6 +35,8 @@ class Equipment:
     tool_change: float = 120.0
     dwell: float = 1.5
     feed: float = 5000.0
+    approach_feed: float = 2000.0  # a single axis, bar detached: slow enough to be stopped by hand (by judgement)
+    attach: float = 60.0  # per block, with approach and retraction (by judgement)
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ class Block:
     offset: tuple[float, float, float]
     q: np.ndarray
     observations: o.Observations
+    clearance: Clearance
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class Plan:
     blocks: tuple[Block, ...]
     minutes: float
     open: tuple[observability.Unobserved, ...]
-    means: Equipment
+    equipment: Equipment
 
     def observations(self) -> o.Observations:
         """All blocks as one test without readings."""
@@ -62,29 +67,34 @@ class Plan:
 
 
 def propose(
-    chain: Chain, *, means: Equipment | None = None, without: tuple[str, ...] = (), positions: int = 40
+    chain: Chain, *, equipment: Equipment | None = None, without: tuple[str, ...] = (), positions: int = 40
 ) -> Plan:
     """A measuring plan for a telescoping bar.
 
-    without: components not to be identified (growth). Raises DataError if the bar reaches no position.
+    without: components not to be identified (growth). Raises DataError if the bar reaches no position, or if no linear
+    axis can retract the tool.
     """
-    means = means or Equipment(tools=default_tools(chain))
+    if not any(axis.kind == "linear" for axis in chain.machine.axes.values()):
+        raise DataError(f"{chain.machine.name} has no linear axis that retracts the tool from the bar")
+    equipment = equipment or Equipment(tools=default_tools(chain))
     rng = np.random.default_rng(0)
     blocks = []
     for socket in default_sockets(chain):
-        for length, offset in means.tools:
-            blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, means, positions, rng)
+        for length, offset in equipment.tools:
+            blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, equipment, positions, rng)
     if not blocks:
-        raise DataError(f"a bar of {means.reach[0]:g}..{means.reach[1]:g} mm reaches no position from these sockets")
+        raise DataError(
+            f"a bar of {equipment.reach[0]:g}..{equipment.reach[1]:g} mm reaches no position from these sockets"
+        )
     model = observability.coarse(chain, without)
-    gains = [observability.information(model, b.observations, means.noise)[0] for b in blocks]
-    chosen = _greedy(gains, blocks, means)
+    gains = [observability.information(model, b.observations, equipment.noise)[0] for b in blocks]
+    chosen = _greedy(gains, blocks, equipment)
     order = sorted(chosen, key=lambda i: (blocks[i].socket, blocks[i].length, blocks[i].offset, i))
     picked = tuple(blocks[i] for i in order)
-    minutes = _seconds(picked, means) / 60.0
+    minutes = _seconds(picked, equipment) / 60.0
     test = o.concatenate([b.observations for b in picked])
-    result = observability.analyse(chain, test, noise=means.noise, without=without)
-    return Plan(chain, picked, minutes, result.unobserved, means)
+    result = observability.analyse(chain, test, noise=equipment.noise, without=without)
+    return Plan(chain, picked, minutes, result.unobserved, equipment)
 
 
 def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
@@ -119,40 +129,53 @@ def _box(chain: Chain) -> np.ndarray:
     return travel
 
 
-def _blocks(chain, socket, length, offset, means: Equipment, positions: int, rng) -> list[Block]:
+def _blocks(chain, socket, length, offset, equipment: Equipment, positions: int, rng) -> list[Block]:
     """Blocks within the bar's reach of one socket with one tool: two independent random samples of the volume."""
     box, tip = _box(chain), chain.tip(length, offset)
     q = rng.uniform(box[:, 0], box[:, 1], (positions * 60, len(chain.axes)))
     edge = rng.random(q.shape) < 0.25
     q = np.where(edge, np.where(rng.random(q.shape) < 0.5, box[:, 0], box[:, 1]), q)
-    span = np.linalg.norm(synthesis.ideal_pose(chain, q, tip)[:, 0] - socket, axis=1)
-    q = q[(span >= means.reach[0]) & (span <= means.reach[1])]
+    clearance = Clearance(chain, socket, length, _triple(offset), equipment.reach)
+    q = q[clearance.is_measurable(q)]
+    q = q[np.sort(np.unique(q, axis=0, return_index=True)[1])]
     blocks = []
     for _ in range(2):
         if len(q) < positions:
             break
-        path = _short_path(q[:positions], box)
-        q = q[positions:]
+        path, q = _short_path(q[:positions], box, clearance), q[positions:]
+        if len(path) < MIN_SHARE * positions:
+            continue
         name = f"socket {'/'.join(f'{v:.0f}' for v in socket)} tool {length:g}"
         test = o.distance(chain, path, tip, socket, label=name)
-        blocks.append(Block(_triple(socket), length, _triple(offset), path, test))
+        blocks.append(Block(_triple(socket), length, _triple(offset), path, test, clearance))
     return blocks
 
 
-def _short_path(q: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Nearest-neighbour tour from the lowest corner, distances scaled by the travel."""
+def _short_path(q: np.ndarray, box: np.ndarray, clearance: Clearance) -> np.ndarray:
+    """Nearest-neighbour tour from the lowest corner, distances scaled by the travel, of moves with the bar attached.
+
+    It begins and ends where the tool can be retracted. Positions that no permitted move reaches are left out.
+    """
     scaled = (q - box[:, 0]) / np.ptp(box, axis=1)
-    unvisited, order = set(range(len(q))), [int(np.argmin(scaled.sum(axis=1)))]
-    unvisited.discard(order[0])
+    first = next((int(i) for i in np.argsort(scaled.sum(axis=1)) if clearance.can_retract(q[i])), None)
+    if first is None:
+        return q[:0]
+    unvisited, order = set(range(len(q))) - {first}, [first]
     while unvisited:
-        candidates = sorted(unvisited)
-        distance = np.linalg.norm(scaled[candidates] - scaled[order[-1]], axis=1)
-        order.append(candidates[int(np.argmin(distance))])
-        unvisited.discard(order[-1])
+        at, candidates = order[-1], sorted(unvisited)
+        distance = np.linalg.norm(scaled[candidates] - scaled[at], axis=1)
+        nearest = (candidates[int(k)] for k in np.argsort(distance, kind="stable"))
+        found = next((j for j in nearest if clearance.is_measurable(clearance.move(q[at], q[j])).all()), None)
+        if found is None:
+            break
+        order.append(found)
+        unvisited.discard(found)
+    while not clearance.can_retract(q[order[-1]]):
+        order.pop()
     return q[order]
 
 
-def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> list[int]:
+def _greedy(gains: list[np.ndarray], blocks: list[Block], equipment: Equipment) -> list[int]:
     """Greedy selection by information gain per second until all is observed or no block reaches MIN_GAIN."""
     p = len(gains[0])
     known = np.eye(p)
@@ -169,17 +192,17 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> l
             after = np.linalg.eigvalsh(np.linalg.inv(known + gain))
             shown = int((variances > observability.UNOBSERVED).sum() - (after > observability.UNOBSERVED).sum())
             score = np.linalg.slogdet(known + gain)[1] - before + SHOWN * shown
-            score_per_second = score / _more_seconds(blocks, chosen, i, means)
+            score_per_second = score / _more_seconds(blocks, chosen, i, equipment)
             if score_per_second > best_rate:
                 best, best_rate = i, score_per_second
         if best < 0:
             break
         chosen.append(best)
         known = known + gains[best]
-    return _pruned(chosen, gains, blocks, means)
+    return _pruned(chosen, gains, blocks, equipment)
 
 
-def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Equipment) -> list[int]:
+def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], equipment: Equipment) -> list[int]:
     """The selection without redundant blocks (all observed combinations are kept), the slowest dropped first."""
 
     def unobserved(rows: list[int]) -> int:
@@ -187,63 +210,44 @@ def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], mea
         return int((np.linalg.eigvalsh(np.linalg.inv(known)) > observability.UNOBSERVED).sum())
 
     kept, unobserved_with_all = list(chosen), unobserved(chosen) if chosen else 0
-    for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], means)):
+    for i in sorted(chosen, key=lambda i: -_path_seconds(blocks[i], equipment)):
         others = [j for j in kept if j != i]
         if others and unobserved(others) <= unobserved_with_all:
             kept = others
     return kept
 
 
-def _more_seconds(blocks: list[Block], chosen: list[int], i: int, means: Equipment) -> float:
+def _more_seconds(blocks: list[Block], chosen: list[int], i: int, equipment: Equipment) -> float:
     new = blocks[i]
     socket = not any(blocks[j].socket == new.socket for j in chosen)
     tool = not any(
         blocks[j].socket == new.socket and (blocks[j].length, blocks[j].offset) == (new.length, new.offset)
         for j in chosen
     )
-    return _path_seconds(new, means) + socket * means.socket_change + tool * means.tool_change
+    return _path_seconds(new, equipment) + socket * equipment.socket_change + tool * equipment.tool_change
 
 
-def _path_seconds(block: Block, means: Equipment) -> float:
-    step = np.abs(np.diff(block.q, axis=0))
-    return float(step.max(axis=1).sum()) / means.feed * 60.0 + means.dwell * len(block.q)
+def _path_seconds(block: Block, equipment: Equipment) -> float:
+    way = sum(move_length(block, i) for i in range(1, len(block.q)))
+    return way / equipment.feed * 60.0 + equipment.dwell * len(block.q) + equipment.attach
 
 
-def _seconds(blocks: Sequence[Block], means: Equipment) -> float:
-    total = sum(_path_seconds(b, means) for b in blocks)
+def move_length(block: Block, i: int) -> float:
+    """What the feed counts of the move to position i: the ball's way, mm, or the largest turn, deg, if that is more."""
+    start, end = block.q[i - 1], block.q[i]
+    return max(block.clearance.ball_path(start, end), float(np.abs(end - start).max()))
+
+
+def _seconds(blocks: Sequence[Block], equipment: Equipment) -> float:
+    total = sum(_path_seconds(b, equipment) for b in blocks)
     before = None
     for b in blocks:
         if before is None or b.socket != before.socket:
-            total += means.socket_change
+            total += equipment.socket_change
         if before is None or (b.socket, b.length, b.offset) != (before.socket, before.length, before.offset):
-            total += means.tool_change
+            total += equipment.tool_change
         before = b
     return total
-
-
-def program(plan: Plan) -> str:
-    """The plan as an NC program (RS-274): M0 to place socket and tool, moves, dwells to read the bar."""
-    names = plan.chain.axes
-    lines = [
-        "%",
-        f"(measuring plan for {plan.chain.machine.name}: {len(plan.blocks)} blocks, {plan.minutes:.0f} min)",
-        "G21 G90 G94",
-    ]
-    before = None
-    for number, b in enumerate(plan.blocks, start=1):
-        if before is None or b.socket != before.socket:
-            lines += [f"(socket at X{b.socket[0]:.3f} Y{b.socket[1]:.3f} Z{b.socket[2]:.3f} of the workpiece)", "M0"]
-        if before is None or (b.length, b.offset) != (before.length, before.offset) or b.socket != before.socket:
-            lines += [
-                f"(ball at length {b.length:.3f}, offset {b.offset[0]:.3f} {b.offset[1]:.3f} {b.offset[2]:.3f})",
-                "M0",
-            ]
-        lines.append(f"(block {number})")
-        for row in b.q:
-            words = " ".join(f"{a}{v:.4f}" for a, v in zip(names, row, strict=True))
-            lines += [f"G1 {words} F{plan.means.feed:.0f}", f"G4 P{plan.means.dwell:.1f}"]
-        before = b
-    return "\n".join([*lines, "M2", "%"]) + "\n"
 
 
 def _triple(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:

@@ -45,7 +45,7 @@ Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviat
 
 
 @dataclass(frozen=True)
-class ResidualError:
+class CompensationEffect:
     """before, after: deviation fields of the simulated machine, without the workpiece's pose; rms and largest, um."""
 
     before: Field
@@ -70,7 +70,7 @@ def mirrored_places(chain: Chain, count: int, seed: int) -> np.ndarray:
     return chain.travel.mean(axis=1) + (sides[:, None] * base).reshape(-1, len(chain.axes))
 
 
-def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> ResidualError:
+def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> CompensationEffect:
     """Error of the true machine before and after compensation by `model`, each minus its best-fitting rigid pose."""
 
     def true(q: np.ndarray) -> np.ndarray:
@@ -86,7 +86,7 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Residu
         size = np.linalg.norm(field(q), axis=1)
         figures[f"{name}_rms_um"] = float(np.sqrt(np.mean(size**2)))
         figures[f"{name}_largest_um"] = float(size.max())
-    return ResidualError(before, after, figures)
+    return CompensationEffect(before, after, figures)
 
 
 def without_pose(chain: Chain, field: Field, q: np.ndarray) -> Field:
@@ -162,11 +162,14 @@ def expected(identified: Identified) -> Expected:
     columns = _pose_columns(chain, q, synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
+    names = chain.machine.correcting_axes()
+    if not names:
+        uncorrected = _expected(identified, np.zeros(rows.shape[2]), rows.reshape(3 * count, -1), count)
+        return replace(uncorrected, factors={})
     by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(synthesis.linear_motion(chain, q)), rows)
     whole = by_axis.reshape(-1, rows.shape[2])
     factors = _factors(identified, [whole, *by_axis])
     part = factors[prior.component] * identified.mean
-    names = chain.machine.correcting_axes()
     axes = {name: _expected(identified, part, own) for name, own in zip(names, by_axis, strict=True)}
     reduced = {n: float(s) for n, s in zip(chain.components, factors, strict=True) if s < 1.0}
     return replace(_expected(identified, part, whole, count), axes=axes, factors=reduced)

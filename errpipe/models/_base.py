@@ -146,7 +146,7 @@ class Family(FrozenModel, ABC):
         """`fit` of a recording that is read batch by batch."""
         raise TypeError(f"{self.family_name()} is not fitted in batches")
 
-    def judge_batches(self, source: Source, scheme: HoldOut | None) -> BatchFolds:
+    def validate_batches(self, source: Source, scheme: HoldOut | None) -> BatchFolds:
         """Every fold of a recording read batch by batch; without a scheme, the family's own."""
         raise TypeError(f"{self.family_name()} is not judged in batches")
 

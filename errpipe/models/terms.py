@@ -92,7 +92,7 @@ class Terms(ModelSpec, Family):
         fitted = history.fitted(multirate.held(source), self, self._response)
         return Fitted(fitted, summary=fit_summary(fitted))
 
-    def judge_batches(self, source: Source, scheme: HoldOut | None) -> BatchFolds:
+    def validate_batches(self, source: Source, scheme: HoldOut | None) -> BatchFolds:
         """Every fold of a recording that is read batch by batch."""
         from errpipe.fitting import batches, history, holdout, multirate
         from errpipe.fitting.source import survey

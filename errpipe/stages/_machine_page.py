@@ -16,7 +16,7 @@ from errpipe.kinematics import direct, identify, readings, records, remaining, s
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors, positions_of
 from errpipe.kinematics.identify import Identified
-from errpipe.kinematics.remaining import ResidualError
+from errpipe.kinematics.remaining import CompensationEffect
 from errpipe.pipeline.stage import Context
 from errpipe.reporting import machine_figures
 from errpipe.reporting.page import render
@@ -32,7 +32,7 @@ class Solved:
     found: Identified
     document: dict[str, Any]
     tests: dict[str, Any]
-    remaining: ResidualError | None
+    remaining: CompensationEffect | None
 
 
 @one_thread()  # two on a busy machine take ten times as long, and their last bits change

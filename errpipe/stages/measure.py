@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,26 +12,43 @@ import numpy as np
 from errpipe import jsonfile, yamlfile
 from errpipe.domain.machine import Machine
 from errpipe.errors import UsageError, did_you_mean
-from errpipe.kinematics import plan
+from errpipe.kinematics import measuring_program, plan
 from errpipe.kinematics.chain import compile_chain
+from errpipe.kinematics.clearance import MARGIN
 from errpipe.reporting import machine_figures
 from errpipe.validation import iso230_4
 
 
-def measure(machine: Path, out: Path, without: Sequence[str], positions: int) -> dict[str, Any]:
-    """A telescoping-bar plan that shows every component of a machine in the least time, as a G-code program."""
+def measure(
+    machine: Path, out: Path, without: Sequence[str], positions: int, reach: tuple[float, float]
+) -> dict[str, Any]:
+    """A telescoping-bar plan that shows every component of a machine in the least time, as a G-code program.
+
+    reach: shortest and longest length of the bar, mm.
+    """
+    if not 0.0 < reach[0] < reach[1] - 2 * MARGIN < math.inf:
+        raise UsageError(
+            f"--reach {reach[0]:g} {reach[1]:g}: not the shortest and longest length of a bar, mm"
+            f" (above 0, more than {2 * MARGIN:g} mm apart)"
+        )
     chain = compile_chain(yamlfile.load(Path(machine), Machine))
     unknown = [c for c in without if c not in chain.components]
     if unknown:
         near = did_you_mean(unknown[0], chain.components)
         raise UsageError(f"--without {unknown[0]}: {chain.machine.name} has no such component.{near}")
-    proposal = plan.propose(chain, without=tuple(without), positions=positions)
-    jsonfile.write_text(Path(out), plan.program(proposal))
+    proposal = plan.propose(
+        chain,
+        equipment=plan.Equipment(tools=plan.default_tools(chain), reach=reach),
+        without=tuple(without),
+        positions=positions,
+    )
+    jsonfile.write_text(Path(out), measuring_program.program(proposal))
     return {
         "written": str(out),
         "components": len(chain.components) - len(without),
         "blocks": len(proposal.blocks),
         "positions": sum(len(b.q) for b in proposal.blocks),
+        "bar": f"{reach[0]:g} to {reach[1]:g} mm",
         "minutes": round(proposal.minutes, 1),
         "unseen": [u.sentence() for u in proposal.open],
     }

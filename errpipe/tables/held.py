@@ -18,7 +18,7 @@ USUAL = 1.0 / 60.0  # per s: a temperature of a machine in use moves by a kelvin
 
 
 @dataclass(frozen=True)
-class HoldError:
+class HoldLag:
     """One output: the most its deviation can be behind, um or urad."""
 
     output: str
@@ -26,7 +26,7 @@ class HoldError:
     largest: float
 
 
-def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[HoldError, ...]:
+def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[HoldLag, ...]:
     """Worst case per output, never too small; readings that fail (and jump to their substitute) are not counted.
 
     otherwise: largest change of an input that states no `max_rate`, per s. Without it such an input may cross its
@@ -46,7 +46,7 @@ def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[Ho
             sizes = [reach[term.component], *(largest(spans[n]) for n in term.factors)]
             lags = [lag[term.component], *(behind[n] for n in term.factors)]
             total += abs(term.weight) * _of_product(lags, sizes)
-        out.append(HoldError(output.name, output.unit, total))
+        out.append(HoldLag(output.name, output.unit, total))
     return tuple(out)
 
 

@@ -23,15 +23,15 @@ from errpipe.terms._slack import Slack, start_states
 
 TRIAL_RATIO, MIN_RATIO = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
 MAX_RESIDUAL_SHARE = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
-HOURS = 3000.0  # s, from which a lag of the room is typical of `ambient_drift`
-OTHER_NAME = -6.0  # log odds of such a lag under this name, by judgement
+MIN_AMBIENT_LAG = 3000.0  # s, from which a lag of the room is typical of `ambient_drift`
+AMBIENT_LOG_ODDS = -6.0  # log odds of such a lag under this name, by judgement
 
 
-class BelowHours(Times):
+class RoomLags(Times):
     """Time constants of the room: by definition (ISO 230-3, environmental variation) long ones have another name."""
 
     def log_prior(self, value: float, parameter: Parameter) -> float:
-        return super().log_prior(value, parameter) + (OTHER_NAME if value > HOURS else 0.0)
+        return super().log_prior(value, parameter) + (AMBIENT_LOG_ODDS if value > MIN_AMBIENT_LAG else 0.0)
 
 
 class ThermalLag(Term):
@@ -66,7 +66,7 @@ class ThermalLag(Term):
         return (fast, Parameter("gain_slow", "um/K", (1.0, 10.0), (-200.0, 200.0), "shift of the slower part"))
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        typical, search = ((600.0, HOURS), BelowHours()) if self.of_room else ((600.0, 15000.0), None)
+        typical, search = ((600.0, MIN_AMBIENT_LAG), RoomLags()) if self.of_room else ((600.0, 15000.0), None)
         fast = Parameter("tau", "s", typical, (60.0, 100000.0), "time constant", search=search)
         if not self.two_stages:
             return (fast,)

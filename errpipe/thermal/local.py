@@ -20,7 +20,7 @@ MOST_KNOTS = 24  # start temperatures between which gains are interpolated
 
 @dataclass(frozen=True)
 class LocalGains:
-    """knots: equidistant start warmths, degC, (k,), k >= 2; gains: (k, columns)."""
+    """knots: equidistant start temperatures, degC, (k,), k >= 2; gains: (k, columns)."""
 
     knots: np.ndarray
     gains: np.ndarray

@@ -124,7 +124,7 @@ def cross_validate_in_batches(
     rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor, steps and the test over runs
     are those of a sample of stretches of every run, which is returned second; clocks are judged if it is all rows.
     """
-    done = family.judge_batches(source, scheme)
+    done = family.validate_batches(source, scheme)
     components, rows = [], {}
     for name, folds in done.folds.items():
         sample, places = done.sample[name]

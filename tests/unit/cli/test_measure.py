@@ -26,3 +26,23 @@ def test_an_unknown_component_is_named(tmp_path, capsys):
     assert main(["measure", str(MACHINE), "--out", str(tmp_path / "p.ngc"), "--without", "EXZZ"]) == 2
     assert "no such component" in capsys.readouterr().err
     assert not (tmp_path / "p.ngc").exists()
+
+
+def test_the_program_is_for_the_stated_bar(tmp_path, capsys):
+    growth = [word for c in ("X0S", "Y0S", "Z0S", "A0S", "B0S") for word in ("--without", c)]
+    call = ["measure", str(MACHINE), "--out", str(tmp_path / "p.ngc"), "--positions", "8", *growth, "--reach"]
+    assert main([*call, "300", "700"]) == 0
+    text = (tmp_path / "p.ngc").read_text()
+    lengths = [float(v) for v in re.findall(r"attach the bar: ([\d.]+) mm", text)]
+    assert "for a bar of 300 to 700 mm" in text and min(lengths) > 300.0 and max(lengths) < 700.0
+    for low, high in (("700", "300"), ("0", "300"), ("300", "303"), ("300", "inf"), ("nan", "300")):
+        assert main([*call, low, high]) == 2
+        assert "shortest and longest length" in capsys.readouterr().err
+
+
+def test_an_axis_with_a_number_is_no_word_of_a_program(tmp_path, capsys):
+    text = MACHINE.read_text().replace("X:", "X2:").replace("X'", "X2'")
+    (tmp_path / "m.yaml").write_text(text)
+    assert main(["measure", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "p.ngc"), "--positions", "8"]) == 3
+    assert "axis X2 is no word of an NC program" in capsys.readouterr().err
+    assert not (tmp_path / "p.ngc").exists()

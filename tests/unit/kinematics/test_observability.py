@@ -7,7 +7,7 @@ import pytest
 from machines import ready, volume_points
 
 from errpipe.errors import DataError
-from errpipe.kinematics import identify, observability, plan, protocols, synthesis
+from errpipe.kinematics import identify, measuring_program, observability, plan, protocols, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import compile_chain
 from errpipe.simulation import metrology
@@ -73,8 +73,8 @@ def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
 def test_a_plan_shows_all_components(name):
     chain = ready(name)
     growth = tuple(c for c in chain.components if c[2:] == "S")
-    means = plan.Equipment(reach=(150.0, 3500.0), tools=plan.default_tools(chain))
-    proposed = plan.propose(chain, means=means, without=growth)
+    equipment = plan.Equipment(reach=(150.0, 3500.0), tools=plan.default_tools(chain))
+    proposed = plan.propose(chain, equipment=equipment, without=growth)
     assert proposed.open == ()
     assert proposed.minutes < 180
 
@@ -82,14 +82,14 @@ def test_a_plan_shows_all_components(name):
 def test_a_plan_is_a_program_that_stays_within_travel():
     chain = ready("cmm")
     proposed = plan.propose(chain)
-    text = plan.program(proposed)
+    text = measuring_program.program(proposed)
     assert text.startswith("%\n(measuring plan for cmm") and text.endswith("M2\n%\n")
     assert text.count("M0") >= 2 and text.count("G4 P") == sum(len(b.q) for b in proposed.blocks)
     for b in proposed.blocks:
         assert (b.q >= chain.travel[:, 0]).all() and (b.q <= chain.travel[:, 1]).all()
         span = np.linalg.norm(synthesis.ideal_pose(chain, b.q, chain.tip(b.length, b.offset))[:, 0] - b.socket, axis=1)
-        assert (span >= proposed.means.reach[0]).all() and (span <= proposed.means.reach[1]).all()
-    assert plan.program(plan.propose(chain)) == text
+        assert (span >= proposed.equipment.reach[0]).all() and (span <= proposed.equipment.reach[1]).all()
+    assert measuring_program.program(plan.propose(chain)) == text
 
 
 def test_a_planned_test_identifies_the_machine():
@@ -109,4 +109,4 @@ def test_a_planned_test_identifies_the_machine():
 
 def test_a_bar_too_short_is_refused():
     with pytest.raises(DataError, match="reaches no position"):
-        plan.propose(ready("gantry"), means=plan.Equipment(reach=(1.0, 2.0)))
+        plan.propose(ready("gantry"), equipment=plan.Equipment(reach=(1.0, 2.0)))

@@ -54,6 +54,8 @@ def test_errors_of_an_index_table_are_identified_and_no_table_is_exported(tmp_pa
     assert "no linear axis with a fixed direction" in str(done.exception), done.output
     volumetric = jsonfile.read(tmp_path / "out/identify/identification.json")["volumetric"]
     assert volumetric["axes"] == {} and volumetric["rms_um"] > 0.0
+    assert volumetric["left_rms_um"] == volumetric["before_rms_um"] > volumetric["rms_um"] / 2
+    assert volumetric["effect_rms_um"] == 0.0
     assert not list((tmp_path / "out").glob("export_volumetric/*.ect"))
 
 
