@@ -22,7 +22,7 @@ from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, GateError
 from errpipe.fitting.solve import one_thread
-from errpipe.kinematics import identify, readings, remaining, summary, synthesis
+from errpipe.kinematics import identify, readings, residual_error, summary, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.simulation import direct_records, measuring_runs, metrology
@@ -99,11 +99,11 @@ def true_rms(
         moved *= np.array([a in axes for a in linear], dtype=float)[:, None]
         return true(q) - (ways @ moved)[:, :, 0]
 
-    q = remaining.mirrored_places(chain, PLACES, SEED)
+    q = residual_error.mirrored_places(chain, PLACES, SEED)
     inverse = np.linalg.pinv(synthesis.linear_motion(chain, q))
     out = []
     for field in (true, left):
-        size = (inverse @ remaining.without_pose(chain, field, q)(q)[:, :, None])[:, :, 0]
+        size = (inverse @ residual_error.without_pose(chain, field, q)(q)[:, :, None])[:, :, 0]
         rms = dict(zip(linear, np.sqrt(np.mean(size**2, axis=0)).tolist(), strict=True))
         out.append(rms | {"all": float(np.sqrt(np.mean(np.sum(size**2, axis=1))))})
     return out[0], out[1]

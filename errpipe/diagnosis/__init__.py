@@ -66,7 +66,7 @@ def diagnose(
 
 def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
     from errpipe.diagnosis import derived, empirical, hypotheses, judge, prepare, report, thinning
-    from errpipe.fitting.side_by_side import side_by_side
+    from errpipe.fitting.parallel import parallel_map
 
     progress(0.0, "reading the recording")
     recording, source = derived.with_motion(between_readings(in_order_of_time(recording)))
@@ -95,7 +95,7 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
 
     at_once = SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1
     alone = 1e-9 * (len(pairs) % at_once)  # with an odd number the first response runs alone, on both cores
-    made = side_by_side(judged, range(len(pairs)), pairs, at_once=at_once, worth=alone)
+    made = parallel_map(judged, range(len(pairs)), pairs, at_once=at_once, worth=alone)
     responses, rows = zip(*made, strict=True)
     diagnosis = Diagnosis(recording=recording.manifest.title, responses=responses, notes=(*short.notes, *notes))
     return derived.named_by_source(diagnosis, source), list(rows)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.diagnosis.coloured import USUAL, Colour, recolour, whiten
-from errpipe.fitting.side_by_side import side_by_side
+from errpipe.fitting.parallel import parallel_map
 from errpipe.kernels import evidence, noise
 
 AT_ONCE = 64  # columns filtered together
@@ -101,7 +101,7 @@ class Table:
             for first, last in ((a, b) for a, b, of in self.stretches if of == f):
                 out[f] += W[first:last, index].T @ W_others[first:last]
 
-        side_by_side(of_fold, range(len(self.rows)), worth=WORTH)
+        parallel_map(of_fold, range(len(self.rows)), worth=WORTH)
         out[-1] = out[:-1].sum(axis=0)
         return out
 

@@ -20,7 +20,7 @@ from errpipe.diagnosis.coloured import Colour
 from errpipe.diagnosis.evidence import ScoredHypotheses, Table
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.fitting.side_by_side import InTurn, prefetched
+from errpipe.fitting.parallel import InTurn, prefetched
 from errpipe.kernels import evidence
 from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS

@@ -25,7 +25,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, solve
 from errpipe.fitting.design import Problem, Slot, fixed_part, response_name, slots_of
-from errpipe.fitting.side_by_side import no_warnings
+from errpipe.fitting.parallel import no_warnings
 from errpipe.fitting.source import Layout, Source, stretches
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 

@@ -17,7 +17,7 @@ from errpipe.errors import DataError
 from errpipe.fitting.components import evaluate, folds_of, groups_of, solved_without_intervals, without_nuisance
 from errpipe.fitting.design import Problem, assemble, response_name
 from errpipe.fitting.holdout import Fold, check
-from errpipe.fitting.side_by_side import side_by_side
+from errpipe.fitting.parallel import parallel_map
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
 
@@ -137,7 +137,7 @@ def judge_components(
         except NothingJudged as why:
             return why
 
-    for one in side_by_side(judged, folds):
+    for one in parallel_map(judged, folds):
         if isinstance(one, NothingJudged):
             empty.append(str(one))
             continue

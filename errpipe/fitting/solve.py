@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from threadpoolctl import ThreadpoolController
 
-from errpipe.fitting.side_by_side import WhileAnyInside
+from errpipe.fitting.parallel import WhileAnyInside
 
 HUBER = 1.345  # 95 % efficiency on normal noise (Huber 1981)
 TUKEY = 4.685  # the same for the biweight (Beaton and Tukey 1974)

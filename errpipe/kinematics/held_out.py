@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.kinematics import remaining, synthesis
+from errpipe.kinematics import residual_error, synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.identify import Parametrisation, bending_of_lengths, identify
 from errpipe.kinematics.observations import Observations
@@ -117,7 +117,7 @@ def shares(chain: Chain, obs: Observations) -> np.ndarray:
     An angle is weighted by its arms in the volume.
     """
     ways = synthesis.linear_motion(chain, obs.q, obs.tip)
-    places = synthesis.ideal_pose(chain, remaining.places(chain))[:, 0] * 1e-3
+    places = synthesis.ideal_pose(chain, residual_error.places(chain))[:, 0] * 1e-3
     x, y, z = np.var(places, axis=0)
     moved = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])  # um2 per urad2: square of what a turn does to a place
     along = np.einsum("nk,nka->na", obs.weights[:, :3], ways) ** 2

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import VerifyError
-from errpipe.kinematics import observability, remaining, synthesis
+from errpipe.kinematics import observability, residual_error, synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors, interpolated
 from errpipe.kinematics.identify import Identified
@@ -64,7 +64,7 @@ def document(
         "volumetric": {
             "rms_um": float(np.sqrt(np.mean(np.sum(value**2, axis=1)))),
             "standard_error_um": float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
-            **remaining.expected(identified).document(),
+            **residual_error.expected(identified).document(),
             "beyond_first_order": synthesis.remainder(chain, q, identified.errors().at(q)),
         },
         "rank": seen.rank,

@@ -15,7 +15,7 @@ from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.design import response_name
-from errpipe.fitting.side_by_side import no_warnings
+from errpipe.fitting.parallel import no_warnings
 from errpipe.fitting.validity import box
 from errpipe.terms import fitted_term
 from errpipe.terms.profile_driver import ProfileDriver

@@ -12,11 +12,11 @@ from errpipe import __version__, jsonfile, yamlfile
 from errpipe.domain.machine import Machine
 from errpipe.errors import UsageError
 from errpipe.fitting.solve import one_thread
-from errpipe.kinematics import direct, identify, readings, records, remaining, summary, synthesis
+from errpipe.kinematics import direct, identify, readings, records, residual_error, summary, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors, positions_of
 from errpipe.kinematics.identify import Identified
-from errpipe.kinematics.remaining import CompensationEffect
+from errpipe.kinematics.residual_error import CompensationEffect
 from errpipe.pipeline.stage import Context
 from errpipe.reporting import machine_figures
 from errpipe.reporting.page import render
@@ -68,7 +68,7 @@ def solve(stage: Any, context: Context) -> Solved:
         document["places"] = places
     residual = None
     if true is not None:
-        residual = remaining.of_truth(chain, true, identified.errors())
+        residual = residual_error.of_truth(chain, true, identified.errors())
         document["simulated_truth"] = residual.figures
     return Solved(chain, identified, document, tests, residual)
 
@@ -79,7 +79,7 @@ def _truth(chain: Chain, context: Context) -> MachineErrors | None:
     documents = [jsonfile.read(f / _artefacts.TRUTH) for f in folders.values()]
     if not documents or len(documents) != len(context.every("recordings")):
         return None
-    return remaining.simulated_truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
+    return residual_error.simulated_truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
 
 
 def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, dict[str, Any]]:
@@ -119,7 +119,7 @@ def page(solved: Solved, title: str) -> str:
         "version": __version__,
     }
     data["sign_note"] = _artefacts.SIGN_NOTE if document.get("sign") == "assumed" else ""
-    data["aimed"] = remaining.AIMED_HARM_PROBABILITY
+    data["aimed"] = residual_error.AIMED_HARM_PROBABILITY
     return render("identification.html.j2", data)
 
 
@@ -132,7 +132,7 @@ def _component_counts(chain: Chain) -> str:
 def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]:
     """Vectors and slices, before and after, in one scale."""
     chain, residual = solved.chain, solved.remaining
-    q = remaining.places(chain, 200)
+    q = residual_error.places(chain, 200)
     if residual is not None:
         before, after = residual.before(q), residual.after(q)
         sizes: dict[str, Any] = {
@@ -146,7 +146,7 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
         )
     else:
         before = synthesis.first_order(chain, q, errors.at(q))[:, :3]
-        spread = remaining.spread(solved.found)
+        spread = residual_error.spread(solved.found)
         after = spread(q)
         sizes = {"before": machine_figures.size_of(chain, errors), "after": spread}
         caption = (

@@ -49,7 +49,7 @@ class SimulateTest(Stage):
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.domain.machine import Machine
-        from errpipe.kinematics import remaining
+        from errpipe.kinematics import residual_error
         from errpipe.kinematics.chain import compile_chain
         from errpipe.simulation import folder, metrology
 
@@ -57,7 +57,7 @@ class SimulateTest(Stage):
         values = metrology.smooth_machine(chain, self.seed)
         recording = self._direct(chain, values) if self.protocol == "direct" else self._indirect(chain, values)
         folder.write(context.folder, recording)
-        context.write_json(TRUTH, remaining.truth_document(chain, values))
+        context.write_json(TRUTH, residual_error.truth_document(chain, values))
         return {"rows": len(recording), "components": len(chain.components)}
 
     def _indirect(self, chain: Any, values: Any) -> Any:

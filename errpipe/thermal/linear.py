@@ -21,7 +21,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Column, Recording
 from errpipe.fitting.design import response_name
-from errpipe.fitting.side_by_side import no_warnings
+from errpipe.fitting.parallel import no_warnings
 from errpipe.fitting.solve import one_thread
 from errpipe.thermal.arithmetic import BLOCKS, FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
 from errpipe.thermal.causes import columns

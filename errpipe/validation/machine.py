@@ -15,9 +15,9 @@ from errpipe.errors import GateError
 from errpipe.fitting.judging import HeldOut
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import rms
-from errpipe.kinematics import held_out, identify, readings, remaining, synthesis
+from errpipe.kinematics import held_out, identify, readings, residual_error, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
-from errpipe.kinematics.remaining import MAX_HARM_PROBABILITY
+from errpipe.kinematics.residual_error import MAX_HARM_PROBABILITY
 from errpipe.models.direct import Direct
 
 MIN_IMPROVEMENT = 0.01  # of the uncompensated rms: within this margin, no compensation is preferred
@@ -137,7 +137,7 @@ def _held_out(
 
 def _mean_square_arms(chain: Chain) -> np.ndarray:
     """Mean square, over the volume, of the shift of each axis by 1 um (urad) of each component, (axes, components)."""
-    q = remaining.places(chain)
+    q = residual_error.places(chain)
     to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
     return np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
 

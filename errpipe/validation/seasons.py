@@ -24,7 +24,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
-from errpipe.fitting.side_by_side import side_by_side
+from errpipe.fitting.parallel import parallel_map
 from errpipe.fitting.statistics import rms
 from errpipe.models import Family
 from errpipe.thermal.arithmetic import since_start_of
@@ -114,7 +114,7 @@ def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: 
             value = model.values(recording)
         residual[fold.test] = (y - value)[fold.test]
 
-    side_by_side(judged, folds)
+    parallel_map(judged, folds)
     return residual, covered, half
 
 

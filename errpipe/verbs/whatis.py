@@ -58,7 +58,7 @@ def whatis(file: Path) -> dict[str, Any]:
 
 
 def _table(file: Path) -> dict[str, Any]:
-    from errpipe.tables import bounds, held
+    from errpipe.tables import bounds, hold_lag
 
     table = _artefacts.read_table(file)
     always, thermal = bounds.cost(table)
@@ -76,7 +76,7 @@ def _table(file: Path) -> dict[str, Any]:
         "profiles": len(table.profiles),
         "operations": {"position cycle": always.operations, "with thermal cycle": thermal.operations},
         "cortex_m4_instructions_at_most": bounds.cortex_m4_instructions(table),
-        "held_costs_um": {h.output: round(h.largest, 4) for h in held.outputs(table, otherwise=held.USUAL)},
+        "held_costs_um": {h.output: round(h.largest, 4) for h in hold_lag.outputs(table, otherwise=hold_lag.USUAL)},
         "bytes": file.stat().st_size,
         "work_bytes": {"double": bounds.work_bytes(table), "single, 32-bit": bounds.work_bytes(table, real=4)},
     }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from machines import ready
 
-from errpipe.kinematics import identify, observability, protocols, remaining
+from errpipe.kinematics import identify, observability, protocols, residual_error
 from errpipe.simulation import measuring_runs, metrology
 
 
@@ -32,11 +32,14 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
     """Monte Carlo of a weak test, all of it compensated and only a part, less the workpiece's pose."""
     solved, _ = played("vertical-centre", "diagonal", 2)
     chain = solved.model.chain
-    judged, q = remaining.expected(solved), remaining.mirrored_places(chain, remaining.JUDGED, remaining.JUDGED_SEED)
+    judged, q = (
+        residual_error.expected(solved),
+        residual_error.mirrored_places(chain, residual_error.JUDGED, residual_error.JUDGED_SEED),
+    )
     rng = np.random.default_rng(0)
-    jac = remaining.synthesis.jacobian(chain, q, None)[:, :3]
+    jac = residual_error.synthesis.jacobian(chain, q, None)[:, :3]
     rows = (jac[:, :, solved.model.prior.component] * solved.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
-    pose = remaining._pose_columns(chain, q, remaining.synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
+    pose = residual_error._pose_columns(chain, q, residual_error.synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
     base, _ = np.linalg.qr(pose.reshape(-1, 6))
     rows = rows - base @ (base.T @ rows)
     true = rng.multivariate_normal(solved.mean, solved.covariance, 4000, method="eigh").T
@@ -44,17 +47,17 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
     used = (factor * np.ones(len(chain.components)))[solved.model.prior.component] * solved.mean
     part = rows @ used
     before, after = rows @ true, rows @ true - part[:, None]
-    output = remaining._expected(solved, used, rows, len(q))
+    output = residual_error._expected(solved, used, rows, len(q))
     assert output.harm == pytest.approx((rms(after) > rms(before)).mean(), abs=0.02)
     assert output.left_rms_um == pytest.approx(np.sqrt(3.0 * np.mean(after**2)), rel=0.05)
     for axis, shown in judged.axes.items():
         own = np.arange("XYZ".index(axis), len(rows), 3)
-        output = remaining._expected(solved, used, rows[own])
+        output = residual_error._expected(solved, used, rows[own])
         assert output.harm == pytest.approx((rms(after[own]) > rms(before[own])).mean(), abs=0.02), axis
         if not whole:
             assert (
                 shown.harm == pytest.approx(output.harm, rel=1e-6, abs=1e-12)
-                and shown.harm <= remaining.MAX_HARM_PROBABILITY
+                and shown.harm <= residual_error.MAX_HARM_PROBABILITY
             )
 
 
@@ -73,22 +76,22 @@ def test_components_are_reduced_to_the_least_residual_without_harm():
     fields = [np.vstack(axes), *axes]
     left = {}
     for factors in np.stack(np.meshgrid(*[np.arange(101) / 100] * 2), axis=-1).reshape(-1, 2)[1:]:
-        each = [remaining._expected(solved, factors * solved.mean, rows) for rows in fields]
-        if max(one.harm for one in each) <= remaining.AIMED_HARM_PROBABILITY:
+        each = [residual_error._expected(solved, factors * solved.mean, rows) for rows in fields]
+        if max(one.harm for one in each) <= residual_error.AIMED_HARM_PROBABILITY:
             left[tuple(factors)] = each[0].left_rms_um
     best = min(left, key=left.get)
     assert 0.0 < best[0] < best[1]  # the one that is less certain
-    assert remaining._factors(solved, fields) == pytest.approx(best, abs=0.0151)
+    assert residual_error._factors(solved, fields) == pytest.approx(best, abs=0.0151)
 
 
 @pytest.mark.parametrize("errors", [(1.0, 0.5), (1.3, 0.0)], ids=["certain", "one of 0 um"])
 def test_what_is_certain_is_not_reduced(errors):
-    assert remaining._factors(two_components(*errors), [np.eye(2)]).tolist() == [1.0, 1.0]
+    assert residual_error._factors(two_components(*errors), [np.eye(2)]).tolist() == [1.0, 1.0]
 
 
 def test_nothing_is_reduced_where_nothing_helps():
     """Even the least correction may harm: the gate refuses the whole one, with its figures."""
-    assert remaining._factors(two_components(20.0, 20.0), [np.eye(2)]).tolist() == [1.0, 1.0]
+    assert residual_error._factors(two_components(20.0, 20.0), [np.eye(2)]).tolist() == [1.0, 1.0]
 
 
 def test_what_no_reading_knows_of_counts_at_its_prior_spread():
@@ -96,11 +99,11 @@ def test_what_no_reading_knows_of_counts_at_its_prior_spread():
     chain = ready("vertical-centre")
     q = np.tile(chain.travel[:, 0], (17, 1))
     q[:, 0] = np.linspace(*chain.travel[0], 17)
-    line = remaining.synthesis.ideal_pose(chain, q)[:, 0] - remaining.synthesis.ideal_pose(chain, q)[8, 0]
+    line = residual_error.synthesis.ideal_pose(chain, q)[:, 0] - residual_error.synthesis.ideal_pose(chain, q)[8, 0]
     obs = protocols.o.along(chain, q, chain.tip(), (1.0, 0.0, 0.0), line[:, 0] * 0.02)
-    weak = remaining.expected(identify.identify(identify.Parametrisation.of(chain), obs))
+    weak = residual_error.expected(identify.identify(identify.Parametrisation.of(chain), obs))
     rest = tuple(c for c in chain.components if c != "EXX")
-    sure = remaining.expected(identify.identify(identify.Parametrisation.of(chain, without=rest), obs))
+    sure = residual_error.expected(identify.identify(identify.Parametrisation.of(chain, without=rest), obs))
     assert weak.axes["X"].harm > 1e-4 > 1e-6 > sure.axes["X"].harm
 
 

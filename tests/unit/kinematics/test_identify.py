@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from errpipe.errors import DataError
 from errpipe.formats.manifest_folder import read
-from errpipe.kinematics import identify, protocols, remaining, synthesis
+from errpipe.kinematics import identify, protocols, residual_error, synthesis
 from errpipe.simulation import folder, metrology
 
 SEEDS = int(os.environ.get("IDENTIFY_SEEDS", "50"))  # 200: about 6 minutes on two cores
@@ -143,7 +143,7 @@ def test_where_a_test_stood_is_no_error_of_the_machine(build):
     protocol, runs = build(chain)
     recording = metrology.simulate_runs(chain, {}, protocol, runs, 6, noise=0.5, setup=100.0)
     fitted = identify.identify(identify.Parametrisation.of(chain, modes=10), protocols.observations(chain, recording))
-    q, tip = remaining.places(chain, 60), chain.tip(120.0)
+    q, tip = residual_error.places(chain, 60), chain.tip(120.0)
     take = played.rigid_free(chain, q, tip)
     predicted = take @ fitted.predict(q, tip)[0].ravel()
     left_open = np.trace(take @ covariance(fitted, q, tip) @ take.T) / len(predicted)

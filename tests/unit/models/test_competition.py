@@ -15,7 +15,7 @@ from sklearn.linear_model import Lasso
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, GateError
-from errpipe.fitting import side_by_side
+from errpipe.fitting import parallel
 from errpipe.fitting.statistics import rms
 from errpipe.models import FAMILIES, family_of, procedure
 from errpipe.models.auto import Auto, competitors
@@ -133,9 +133,9 @@ def test_folds_in_two_threads_are_judged_to_the_bit_as_one_by_one(family, monkey
         return judge(self, *args)
 
     monkeypatch.setattr(type(family), "validate_fold", noted)
-    monkeypatch.setitem(side_by_side.side_by_side.__kwdefaults__, "worth", 0.0)
+    monkeypatch.setitem(parallel.side_by_side.__kwdefaults__, "worth", 0.0)
     for cores in (1, 2):
-        monkeypatch.setattr(side_by_side.os, "cpu_count", lambda cores=cores: cores)
+        monkeypatch.setattr(parallel.os, "cpu_count", lambda cores=cores: cores)
         threads.clear()
         documents.append(held_out(recording, family, "leave-one-group-out:run"))
         assert (threads == {threading.main_thread().name}) == (cores == 1)

@@ -13,7 +13,7 @@ from errpipe import jsonfile, yamlfile
 from errpipe.cli.app import main
 from errpipe.domain.machine import Machine
 from errpipe.errors import GateError
-from errpipe.kinematics import held_out, identify, observations, readings, remaining, summary
+from errpipe.kinematics import held_out, identify, observations, readings, residual_error, summary
 from errpipe.kinematics.chain import compile_chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.simulation import measuring_runs, metrology
@@ -74,7 +74,7 @@ def test_a_part_passes_whole_or_in_part(seed, passes):
     truth = MachineErrors.of(chain, metrology.smooth_machine(chain, seed), 401)
     factors = gate.compensated(document, chain)
     assert ([factors.get(c) for c in chain.components] != [1.0] * len(chain.components)) == (passes == "in part")
-    left = remaining.of_truth(chain, truth, summary.errors(chain, document, factors)).figures
+    left = residual_error.of_truth(chain, truth, summary.errors(chain, document, factors)).figures
     assert left["after_rms_um"] < (0.5 if passes == "whole" else 0.75) * left["before_rms_um"]
 
 

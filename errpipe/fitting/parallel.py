@@ -24,7 +24,7 @@ T = TypeVar("T")
 _inside: ContextVar[bool] = ContextVar("inside_side_by_side", default=False)
 
 
-def side_by_side(
+def parallel_map(
     work: Callable[..., T], *items: Iterable[Any], at_once: int = AT_ONCE, worth: float = WORTH
 ) -> list[T]:
     """`work` of each item of iterables of equal length, in threads; sequentially within another call.
@@ -55,7 +55,7 @@ def side_by_side(
 def prefetched(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
     """`work` of each item, in order: a few are computed ahead in another thread while the caller is busy.
 
-    For results too large to be in memory all at once. Within `side_by_side`, or on one core, sequential.
+    For results too large to be in memory all at once. Within `parallel_map`, or on one core, sequential.
     """
     if _inside.get() or (os.cpu_count() or 1) < 2:
         yield from map(work, items)

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from errpipe.fitting import side_by_side as module
-from errpipe.fitting.side_by_side import no_warnings, prefetched, side_by_side
+from errpipe.fitting import parallel as module
+from errpipe.fitting.parallel import no_warnings, parallel_map, prefetched
 from errpipe.fitting.solve import one_thread
 
 
@@ -25,19 +25,19 @@ def test_results_stand_in_order_and_the_first_failure_is_raised(cores: int, monk
             raise ValueError(name)
         return f"{k}{name}"
 
-    assert side_by_side(slow, range(5), "abcde", worth=0.0) == ["0a", "1b", "2c", "3d", "4e"]
+    assert parallel_map(slow, range(5), "abcde", worth=0.0) == ["0a", "1b", "2c", "3d", "4e"]
     with pytest.raises(ValueError, match="g"):
-        side_by_side(slow, range(8), "abcdefgh", worth=0.0)
+        parallel_map(slow, range(8), "abcdefgh", worth=0.0)
 
 
 def test_short_pieces_and_pieces_of_pieces_stay_in_their_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module.os, "cpu_count", lambda: 2)
 
     def names(_: object) -> set[str]:
-        return set(side_by_side(lambda _: threading.current_thread().name, range(3), worth=0.0))
+        return set(parallel_map(lambda _: threading.current_thread().name, range(3), worth=0.0))
 
-    assert len(set.union(*side_by_side(lambda _: {threading.current_thread().name}, range(9)))) == 1
-    for inner in side_by_side(names, range(4), worth=0.0):
+    assert len(set.union(*parallel_map(lambda _: {threading.current_thread().name}, range(9)))) == 1
+    for inner in parallel_map(names, range(4), worth=0.0):
         assert len(inner) == 1 and threading.main_thread().name not in inner
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.domain import table as t
 from errpipe.kernels import table_cycle
-from errpipe.tables import held, pack
+from errpipe.tables import hold_lag, pack
 from tests.unit.tables.made import everything
 from tests.unit.tables.made import ten_um_too_long as plain
 
@@ -67,26 +67,26 @@ def lateness(nodes) -> float:
 
 @pytest.mark.parametrize("name", NODES)
 def test_the_bound_holds_and_is_not_idle(name):
-    (bound,) = held.outputs(made(100, NODES[name]))
+    (bound,) = hold_lag.outputs(made(100, NODES[name]))
     delays = lateness(NODES[name])
     assert delays <= bound.largest
     if name in ("a rise", "a clip", "a switch"):
         assert delays > 0.9 * bound.largest
-    assert held.outputs(made(1, NODES[name]))[0].largest == 0.0
+    assert hold_lag.outputs(made(1, NODES[name]))[0].largest == 0.0
 
 
 def test_an_input_without_a_rate_may_cross_its_range():
-    (free,) = held.outputs(made(100, NODES["a rise"], None))
+    (free,) = hold_lag.outputs(made(100, NODES["a rise"], None))
     assert free.largest == pytest.approx(140.0 * 10.0)
-    (output,) = held.outputs(made(100, NODES["a rise"], None), otherwise=held.USUAL)
+    (output,) = hold_lag.outputs(made(100, NODES["a rise"], None), otherwise=hold_lag.USUAL)
     assert output.largest == pytest.approx(10.0 * 0.99 / 60.0)
 
 
 def test_a_table_without_slow_nodes_is_never_late():
-    assert held.outputs(plain())[0].largest == 0.0
+    assert hold_lag.outputs(plain())[0].largest == 0.0
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_any_table_has_a_bound(seed):
-    for row in held.outputs(everything(seed)):
+    for row in hold_lag.outputs(everything(seed)):
         assert row.largest >= 0.0 and not math.isnan(row.largest)
