@@ -95,7 +95,7 @@ def _measured(plan: Plan, b: Block) -> list[str]:
     lines = [dwell]
     for i in range(1, len(b.q)):
         step = b.q[i] - b.q[i - 1]
-        counted = np.linalg.norm(step[kinds]) or np.linalg.norm(step)
+        counted = float(np.linalg.norm(step[kinds]) or np.linalg.norm(step))
         feed = plan.equipment.feed * min(1.0, counted / move_length(b, i))
         words = " ".join(_word(plan, a, v) for a, v in enumerate(b.q[i]))
         lines += [f"G1 {words} F{max(feed, 1.0):.0f}", dwell]
