@@ -278,7 +278,9 @@ def test_a_sensor_that_is_late_at_the_start_does_not_delay_the_others() -> None:
 
 @pytest.mark.parametrize("by", [learn.learn, learn.limits])
 def test_what_a_late_sensor_missed_is_estimated_from_the_starts_of_others(by) -> None:
-    rows = measured(8, 5)
+    rows = measured(8, 5)  # with sensors that read 5 K more than the others, and 3 K less
+    offsets = {"T_housing": 5.0, "T_bearing": -3.0}
+    rows = rows.with_columns({n: rows.array(n) + offset for n, offset in offsets.items()}, {})
     model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
     tables = [compile_model(model, CompileOptions(), g, rows) for g in (None, by(rows, sensors.NAMES))]
     whole = table_values(tables[0], model, rows)["E_Z"]
