@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -61,10 +62,13 @@ def sensors(recording: Recording) -> tuple[str, ...]:
 
 ROOM_WORDS = ("room", "ambient", "hall", "shop", "environment")
 AIR_WORDS = ("air", *ROOM_WORDS)
+NO_ROOM = re.compile(
+    r"hall[ _-]?(sensor|effect|probe|element)|shallow|challeng|headroom"
+)  # words that hold one of them
 COOLANT_WORDS = ("coolant", "cutting fluid", "emulsion", "lubricant tank")
 
 
 def mentions(recording: Recording, sensor: str, words: tuple[str, ...]) -> bool:
     """Does the sensor's place hold one of the words?"""
-    place = location(recording, sensor)
+    place = NO_ROOM.sub("", location(recording, sensor))
     return any(word in place for word in words)
