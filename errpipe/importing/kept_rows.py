@@ -125,7 +125,8 @@ def _figures_below(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
                     f"{c.header} {unknown!r}, below numbered ones: a run, or a statistic over them? Give it a number "
                     "if it is a run, else delete its rows"
                 )
-        texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
+        if c.numeric:  # once a column: it counts the cells
+            texts[[i for i, t in words.items() if is_word(t)]] += 1
         begun |= figure
         begun[list(words)] = True
     numeric = sum(c.numeric for c in layout.columns)
