@@ -6,6 +6,7 @@ Everything computed here is documented in the manifest or in a note.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,11 +83,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
-    stated = next((line for line in layout.above if axis_above([line])), None)
-    if stated is not None and options.axis is None:
-        proposal.notes.append(f"the axis is {axis_above([stated])}, from {stated[:60]!r} (to change it: --axis)")
-    elif stated is not None and options.axis != axis_above([stated]):
-        proposal.notes.append(f"the axis is {options.axis}, by --axis; {stated[:60]!r} states {axis_above([stated])}")
+    proposal.notes += _axis_of_a_line(layout.above, options.axis)
     wide_layout = wide.find(layout, guesses)
     guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
     axis = options.axis or _axis(layout, guesses, wide_layout, options.component)
@@ -109,6 +106,17 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     if options.resolution is not None and not any(OF_A_COUNT in why for why in proposal.guesses.values()):
         raise UsageError("--resolution would be ignored: no column contains counts, or whole numbers without a unit")
     return proposal
+
+
+def _axis_of_a_line(above: Sequence[str], declared: str | None) -> list[str]:
+    """A note where a line above the table names the axis, and another one or none is declared."""
+    line = next((text for text in above if axis_above([text])), None)
+    axis = axis_above([line]) if line is not None else None
+    if line is None or declared == axis:
+        return []
+    if declared is None:
+        return [f"the axis is {axis}, from {line[:60]!r} (to change it: --axis)"]
+    return [f"the axis is {declared}, by --axis; {line[:60]!r} states {axis}"]
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:

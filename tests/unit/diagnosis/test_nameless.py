@@ -316,7 +316,8 @@ def test_a_wandering_residual_is_predicted_or_coloured_noise(monkeypatch, share,
     ((1,), ("gain", "noise"), 0.8, 1.0, unnamed.NOISE),
 ])  # fmt: skip
 def test_a_signal_that_was_itself_recorded_accounts_for_what_names_leave(monkeypatch, parts, kinds, named, after, most):
-    for asked in ("rounded", "departs", "unnamed_structure", "proved", "is_noise"):
+    tests = ("departures_predict_held_out", "shapes_predict_held_out")
+    for asked in ("rounded", "unnamed_structure", "is_noise", *tests):
         monkeypatch.setattr(unnamed, asked, lambda *_: False)
     monkeypatch.setattr(unnamed, "unexplained", lambda *_: True)  # a rhythm remains
     monkeypatch.setattr(unnamed.confidence, "unknown", lambda s: 0.3)
@@ -380,7 +381,7 @@ def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypa
     accepted = [SimpleNamespace(hypothesis=SimpleNamespace(mask=mask)) for mask in masks]
     left = SimpleNamespace(shapes=[(SimpleNamespace(of_inputs=of_inputs), 40.0) for of_inputs in shapes])
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted), remainder=left)
-    found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
+    found = [SimpleNamespace(group_confidence=lambda: sure)] * len(masks)
     assert unnamed.unlikely(case, found) is unlikely  # type: ignore[arg-type]
 
 

@@ -133,7 +133,7 @@ def test_folds_in_two_threads_are_judged_to_the_bit_as_one_by_one(family, monkey
         return judge(self, *args)
 
     monkeypatch.setattr(type(family), "validate_fold", noted)
-    monkeypatch.setitem(parallel.side_by_side.__kwdefaults__, "worth", 0.0)
+    monkeypatch.setitem(parallel.parallel_map.__kwdefaults__, "worth", 0.0)
     for cores in (1, 2):
         monkeypatch.setattr(parallel.os, "cpu_count", lambda cores=cores: cores)
         threads.clear()

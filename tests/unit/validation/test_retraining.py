@@ -76,7 +76,7 @@ def test_any_other_gate_keeps_the_champion() -> None:
 class Mean:
     """A family whose model is the mean of the rows that fit it."""
 
-    def judge(self, recording: Recording, fold: Fold) -> dict[str, HeldOut]:
+    def validate_fold(self, recording: Recording, fold: Fold) -> dict[str, HeldOut]:
         y, rows = recording.array("EXX"), np.flatnonzero(fold.test)
         left = y[rows] - y[fold.train].mean()
         return {"EXX": HeldOut(fold.label, rows, y[rows], left, np.zeros(rows.size), 0.0)}

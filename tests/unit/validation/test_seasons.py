@@ -118,7 +118,7 @@ def test_days_are_pooled_by_months(recording):
 
 def test_a_season_model_is_judged_like_every_other_model(recording):
     fold = holdout.groups(recording, "leave-one-group-out:season")[1]
-    output = Season(component="E_D", options=SeasonOptions(correction=False)).judge(recording, fold)["E_D"]
+    output = Season(component="E_D", options=SeasonOptions(correction=False)).validate_fold(recording, fold)["E_D"]
     assert output.label == "spring" and (np.sort(output.rows) == np.flatnonzero(fold.test)).all()
     assert_allclose(output.before, arithmetic.since_start_of(recording, "E_D")[output.rows])
     assert output.rms(output.after) < output.rms(output.before) and (output.outside >= 0).all()
