@@ -15,7 +15,10 @@ from machines import ready
 from errpipe.kinematics import measuring_program, plan, synthesis
 from errpipe.kinematics.chain import compile_chain
 
-MACHINES = ("cmm", "vertical-centre", "five-axis-head-head", "five-axis-table-table", "turning-centre")
+MACHINES = (
+    "cmm", "vertical-centre", "turning-centre",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("five-axis-head-head", "five-axis-table-table")),
+)  # fmt: skip
 FINE = 400  # points of a move
 
 
@@ -142,7 +145,7 @@ def test_a_name_does_not_end_its_comment():
 
 @pytest.mark.toolchain
 @pytest.mark.skipif(shutil.which("rs274") is None, reason="LinuxCNC's interpreter rs274 is not installed")
-@pytest.mark.parametrize("name", ["cmm", "five-axis-head-head"])
+@pytest.mark.parametrize("name", ["cmm", pytest.param("five-axis-head-head", marks=pytest.mark.slow)])
 def test_linuxcnc_reads_the_program(name, tmp_path):
     proposed = planned(name)
     text = measuring_program.program(proposed)

@@ -93,12 +93,18 @@ def nine(runs: int, seed: int) -> Recording:
     return rows.with_columns(more | {"E_Z": y}, dict.fromkeys(more, role))
 
 
-@pytest.mark.parametrize("wrong", [0.0, np.nan, 35.0])
-def test_a_sensor_beyond_those_compared_is_kept_consistent_with_them(wrong):
+@pytest.fixture(scope="module")
+def kept():
+    """A model of nine sensors, of which six are compared; its baseline, and the guard chosen."""
     rows = nine(8, 5)
     model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
     judge = judged(rows, model)
-    found = _guarded.choose_guard(judge, None)
+    return model, judge, _guarded.choose_guard(judge, None)
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan, 35.0])
+def test_a_sensor_beyond_those_compared_is_kept_consistent_with_them(kept, wrong):
+    model, judge, found = kept
     assert len(found.guard.sensors) == 6 and len(found.guard.kept) == 3
     table, fresh = judge.compiled(found.guard), nine(4, 6)
     healthy, late = table_values(table, model, fresh)["E_Z"], fresh.time() >= 7200.0
