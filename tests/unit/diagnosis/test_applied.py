@@ -170,7 +170,7 @@ def test_a_datum_for_each_session_only_where_it_explains_more() -> None:
 
 @pytest.mark.slow
 def test_equal_findings_give_equal_bytes(tmp_path: Path) -> None:
-    recording = spindle(2, hidden=lambda c: 2.5 * late(c["t"], c["T_room"] - 20, 3600.0))
+    recording = spindle(2, hidden=lambda c: 5.0 * late(c["t"], c["T_room"] - 20, 3600.0))
     diagnosis, rows = diagnose(recording)
     for name in "ab":
         apply_findings(recording, diagnosis, tmp_path / name, [r.simulated_parts for r in rows])
