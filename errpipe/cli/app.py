@@ -62,14 +62,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return _closed_pipe()
     except KeyboardInterrupt as stop:
-        what, code = ("terminated", 143) if isinstance(stop, _Terminated) else ("interrupted", 130)
-        return print_error(name, f"{what}; the same command continues from here", code, as_json)
+        return _interrupted(name, stop, as_json)
     except Exception as err:
+        if isinstance(err.__cause__, KeyboardInterrupt):  # in `__set_name__`: Python 3.11 raises a RuntimeError
+            return _interrupted(name, err.__cause__, as_json)
         if debug:
             import traceback
 
             traceback.print_exc()
         return _refusal(name, err, as_json)
+
+
+def _interrupted(name: str, stop: KeyboardInterrupt, as_json: bool) -> int:
+    what, code = ("terminated", 143) if isinstance(stop, _Terminated) else ("interrupted", 130)
+    return print_error(name, f"{what}; the same command continues from here", code, as_json)
 
 
 def _end_cleanly() -> None:
