@@ -32,7 +32,7 @@ class HeldOut:
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
     `after`, of the findings alone; bare, textbook: as `named`, without findings, and with their textbook forms only;
     often: effects selected in at least half of the folds; again: was the search repeated? Not for partial effects;
-    apart: `before` and `after` without the blocks in which a fold's names extrapolate.
+    trimmed: `before` and `after` without the blocks in which a fold's names extrapolate.
     """
 
     scheme: str
@@ -46,7 +46,7 @@ class HeldOut:
     textbook: float
     often: tuple[str, ...] = ()
     again: bool = True
-    apart: tuple[float, float] = (np.inf, np.inf)
+    trimmed: tuple[float, float] = (np.inf, np.inf)
 
     def shape_share(self) -> float:
         """Share of the held-out variance that shapes over inputs predict beyond the names; negative if they do harm."""
@@ -126,11 +126,11 @@ def held_out(case: Case) -> HeldOut:
         scheme, rms(whole(before)), rms(whole(after)), tuple(np.mean(same, axis=0).tolist()), rms(whole(named)),
         rms(whole(with_inputs)), rms(whole(alone)), rms(whole(bare)), rms(whole(textbook)),
         tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))), not in_part,
-        _apart(case, whole(before), whole(after)),
+        _without_worst_blocks(case, whole(before), whole(after)),
     )  # fmt: skip
 
 
-def _apart(case: Case, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+def _without_worst_blocks(case: Case, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
     """rms of both without the blocks, a tenth at most, in which names do most harm (one-sided trimmed mean).
 
     The rows that separate two columns of a form (the first motion, a rest) may all be in one block: without it, they

@@ -113,7 +113,7 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     """
     if not case.explanation.accepted:
         return False
-    before, after = held.apart
+    before, after = held.trimmed
     far = after > max(SMALLER * before, FAR * case.noise_estimate) and "whole runs" not in held.scheme
     return far or unnamed_structure(case, held) or _rhythm_remains(case, held)
 

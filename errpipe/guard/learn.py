@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -152,23 +153,18 @@ def _kept(rows: HealthyReadings, names: Sequence[str]) -> tuple[g.KeptSensor, ..
     size = max(float(np.mean(rise[:, :sensors] ** 2)), 1e-12)
 
     def weights(values: np.ndarray, ridge: float) -> np.ndarray:
-        x = values[:, :sensors]
-        return np.linalg.solve(x.T @ x / len(x) + ridge * size * np.eye(sensors), x.T @ values[:, sensors:] / len(x))
-
-    def left(ridge: float) -> np.ndarray:
-        out = rise[:, sensors:].copy()
-        for label in np.unique(rows.group):
-            inside = rows.group == label
-            out[inside] -= rise[inside, :sensors] @ weights(rise[~inside], ridge)
+        x, out = values[:, :sensors], np.zeros((values.shape[1], values.shape[1]))
+        square = x.T @ x / len(x) + ridge * size * np.eye(sensors)
+        out[sensors:, :sensors] = np.linalg.solve(square, x.T @ values[:, sensors:] / len(x)).T
         return out
 
-    tried = np.array([left(ridge) for ridge in RIDGES])
+    tried = np.array([left_out(rows.group, rise, rise, partial(weights, ridge=r))[:, sensors:] for r in RIDGES])
     best = np.argmin(np.mean(tried**2, axis=1), axis=0)
     out = []
     for i, name in enumerate(names):
         largest = float(np.max(np.abs(tried[best[i], :, i])))
         ends = _believable(rows, sensors + i)
-        estimate = tuple(map(float, weights(rise, RIDGES[best[i]])[:, i]))
+        estimate = tuple(map(float, weights(rise, RIDGES[best[i]])[sensors + i, :sensors]))
         out.append(
             g.KeptSensor(name=name, low=ends["low"], high=ends["high"], estimate=estimate, within=max(largest, 1e-3))
         )

@@ -48,7 +48,7 @@ def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     _too_few(p)
     _signs_in_a_column(p, layout, options)
     _unnamed_axis(p)
-    _two_states(p, layout, options)
+    _states_of_compensation(p, layout, options)
     _artefact(p, layout, options)
     _twice(p)
 
@@ -76,7 +76,7 @@ _A_STATE = re.compile(
 )
 
 
-def _two_states(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+def _states_of_compensation(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Readings with and without compensation, by a column of few labels: `Comp` with off and on, or `before comp`."""
     for c in (c for c in layout.columns if not {c.header, slug(c.header)} & {*options.sets}):
         role = p.entries.get(p.names.get(c.header, ""), {}).get("role")

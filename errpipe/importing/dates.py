@@ -134,7 +134,7 @@ def order_of(form: str) -> str:
     return "; the day first" if form.startswith(("%d/", "%d-")) else ""
 
 
-def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
+def refuse_clock_set_back(c: RawColumn, since: np.ndarray) -> None:
     """Raise DataError if a clock goes back once, by an hour less one step, as at the end of summer time, or by a day.
 
     By a day less one step, within one date: past midnight with the date of the start.

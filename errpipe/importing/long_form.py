@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from errpipe.importing import quality
-from errpipe.importing.dates import refuse_an_hour_back, seconds
+from errpipe.importing.dates import refuse_clock_set_back, seconds
 from errpipe.importing.header import is_moment, is_word
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell, Rows, Sheet, decimal_comma, label, number
@@ -73,7 +73,7 @@ def unstacked(sheet: Sheet) -> Sheet:
             header[time] if header else "time", None, stamps[signal], np.full(len(stamps[signal]), np.nan)
         )
         if (since := seconds(column)) is not None:
-            refuse_an_hour_back(column, since[0])
+            refuse_clock_set_back(column, since[0])
     again = sum(counts.values()) - sum(sum(s in counts for s in values) for values in table.values())
     if again:
         sheet.notes.append(f"{again} duplicate values of a signal at one time were excluded")

@@ -347,7 +347,7 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
         p.put(c.header, [label(x) for x in c.cells], "a second clock", role="ignore")
     elif stamps is not None:
         since, epoch, form = stamps
-        dates.refuse_an_hour_back(c, since)
+        dates.refuse_clock_set_back(c, since)
         why += f"; dates written as s since the first row{dates.order_of(form)}"
         p.put("t", since, why, role="time", unit="s", epoch=epoch)
     elif c.numeric:

@@ -103,7 +103,9 @@ class Baseline:
         return all(np.hypot(self.left[n], moved[n]) < MAX_LEFT * self.before[n] for n in self.left if n in moved)
 
 
-def baseline(passed: GatedModel, options: CompileOptions, recording: Recording, plain: CompensationTable) -> Baseline:
+def baseline_of(
+    passed: GatedModel, options: CompileOptions, recording: Recording, plain: CompensationTable
+) -> Baseline:
     """What guards of an export are judged by; where nothing was judged, the rows of the fit stand for held-out ones."""
     left = {c.component: c.rms_after for c in passed.model.components}
     before = {c.component: c.rms_before for c in passed.model.components}
@@ -131,31 +133,31 @@ def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
     return [n for n in recording.names("temperature") if n in read]
 
 
-def choose_guard(judge: Baseline, scheme: str | None) -> TableGuard:
+def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     """The guard learnt from the recording, if it costs at most `MAX_COST` with healthy sensors.
 
     scheme: the hold-out of the validation; its groups, else runs, are held out. If sensors cannot be compared
     (one sensor, one run), each is monitored individually and the correction fades if one fails.
     """
-    held = short_gaps_held(judge.recording)
-    max_count = min(MAX_COMPARED, (judge.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
+    held = short_gaps_held(baseline.recording)
+    max_count = min(MAX_COMPARED, (baseline.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
     if max_count < 2:
-        return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
-    names = _chosen(judge, held, max_count)
-    others = [n for n in sensors_read(judge.plain, held) if n not in names]
-    free = judge.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
+        return _one_by_one(baseline, held, "the table has too few free nodes for a comparison", scheme)
+    names = _chosen(baseline, held, max_count)
+    others = [n for n in sensors_read(baseline.plain, held) if n not in names]
+    free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
     kept = tuple(others) if len(names) > 1 and len(others) * NODES_KEPT <= free else ()
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
         guard, folds = _learnt(held, names, scheme, partial(learn.learn, others=kept) if kept else learn.learn)
     except DataError as why:
-        return _one_by_one(judge, held, str(why), scheme)
-    guard, accuracy = _with_substitutes(judge, held, guard, folds)
-    guard, cost = _affordable(judge, held, guard, folds)
+        return _one_by_one(baseline, held, str(why), scheme)
+    guard, accuracy = _with_substitutes(baseline, held, guard, folds)
+    guard, cost = _affordable(baseline, held, guard, folds)
     if cost > MAX_COST:
         return _one_by_one(
-            judge, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
+            baseline, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
         )
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
     document |= {"accuracy": accuracy, "kept_within_K": {s.name: s.within for s in guard.kept}}
@@ -171,15 +173,15 @@ def choose_guard(judge: Baseline, scheme: str | None) -> TableGuard:
     return TableGuard(guard, sentence, document)
 
 
-def _chosen(judge: Baseline, held: Recording, max_count: int) -> tuple[str, ...]:
+def _chosen(baseline: Baseline, held: Recording, max_count: int) -> tuple[str, ...]:
     """The `max_count` temperatures with the largest effect on the table, in the recording's order."""
-    names = sensors_read(judge.plain, held)
-    predicted, run = judge.predicted(judge.plain, held), held.run_codes()
+    names = sensors_read(baseline.plain, held)
+    predicted, run = baseline.predicted(baseline.plain, held), held.run_codes()
     first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
 
     def moves(name: str) -> float:
         stuck = held.with_columns({name: held.array(name)[first]}, {})
-        return judge.cost(judge.rms_difference(judge.predicted(judge.plain, stuck), predicted))
+        return baseline.cost(baseline.rms_difference(baseline.predicted(baseline.plain, stuck), predicted))
 
     ranked = sorted(names, key=moves, reverse=True)[:max_count] if len(names) > max_count else names
     return tuple(n for n in names if n in ranked)
@@ -213,13 +215,13 @@ def _ranges(accuracy: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _with_substitutes(
-    judge: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
+    baseline: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
 ) -> tuple[SensorGuard, dict[str, dict[str, float]]]:
     """The guard, each sensor with a useful estimate marked: one at a time and in pairs.
 
     And per sensor the rms of its replacement on left-out groups, in K and in um (urad) of each component.
     """
-    names, predicted = guard.names(), judge.predicted(judge.plain, held)
+    names, predicted = guard.names(), baseline.predicted(baseline.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
     for rows, own in folds:
         for (i, j), shift in _shifts(own, held.take(rows)):
@@ -229,13 +231,13 @@ def _with_substitutes(
     def moved(*failed: int) -> dict[str, float]:
         pair = (failed[0], failed[-1]), (failed[-1], failed[0])
         columns = {names[i]: x[names[i]] - gone[i, j] for i, j in pair}
-        return judge.rms_difference(judge.predicted(judge.plain, held.with_columns(columns, {})), predicted)
+        return baseline.rms_difference(baseline.predicted(baseline.plain, held.with_columns(columns, {})), predicted)
 
     alone_moved = [moved(i) for i in range(len(names))]
     accuracy = {n: {"K": rms(gone[i, i]), **alone_moved[i]} for i, n in enumerate(names)}
-    use = [judge.is_useful(m) for m in alone_moved]
+    use = [baseline.is_useful(m) for m in alone_moved]
     both = guard.most_failed > 1 and all(
-        judge.is_useful(moved(i, j)) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
+        baseline.is_useful(moved(i, j)) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
     )
     alone = learn.limits(held, names)  # for a sensor without replacement: a false alarm costs the whole correction
     sensors = tuple(s if u else _alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True))
@@ -262,48 +264,51 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
             yield (i, j), (left[:, i] + weight[i, j] * left[:, j]) / (1.0 - weight[i, j] * weight[j, i])
 
 
-def _cost(judge: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> float:
+def _cost(baseline: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> float:
     """Relative increase of the residual by a guard with healthy sensors: larger one of held-out and fitted groups.
 
     Rows of a group are evaluated without those before them, where states start anew; so are those of the plain table.
     """
-    predicted, by_fold = judge.predicted(judge.plain, held), dict(judge.predicted(judge.compiled(guard), held))
-    own = judge.cost(judge.rms_difference(by_fold, predicted))
+    predicted, by_fold = (
+        baseline.predicted(baseline.plain, held),
+        dict(baseline.predicted(baseline.compiled(guard), held)),
+    )
+    own = baseline.cost(baseline.rms_difference(by_fold, predicted))
     for rows, fold in folds:
         sensors = tuple(o if s.stands_in else _alone(o, s) for o, s in zip(fold.sensors, guard.sensors, strict=True))
         same = fold.model_copy(update={"sensors": sensors, "most_failed": guard.most_failed})
         group = held.take(rows)
-        plain = judge.predicted(judge.plain, group)
-        for name, values in judge.predicted(judge.compiled(same), group).items():
+        plain = baseline.predicted(baseline.plain, group)
+        for name, values in baseline.predicted(baseline.compiled(same), group).items():
             by_fold[name] = by_fold[name].copy()
             by_fold[name][rows] = predicted[name][rows] + values - plain[name]
-    return max(own, judge.cost(judge.rms_difference(by_fold, predicted)))
+    return max(own, baseline.cost(baseline.rms_difference(by_fold, predicted)))
 
 
 def _affordable(
-    judge: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
+    baseline: Baseline, held: Recording, guard: SensorGuard, folds: Sequence[Fold]
 ) -> tuple[SensorGuard, float]:
     """The guard at the smallest of `WIDER` with a cost of at most `MAX_COST`, else the widest; the cost."""
     tried, cost = guard, np.inf
     for times in WIDER:
         tried = guard.widened(times)
-        cost = _cost(judge, held, tried, [(rows, fold.widened(times)) for rows, fold in folds])
+        cost = _cost(baseline, held, tried, [(rows, fold.widened(times)) for rows, fold in folds])
         if cost <= MAX_COST:
             break
     return tried, float(cost)
 
 
-def _one_by_one(judge: Baseline, held: Recording, why: str, scheme: str | None) -> TableGuard:
+def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | None) -> TableGuard:
     """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
-    max_count = min(MAX_INDIVIDUAL, judge.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
+    max_count = min(MAX_INDIVIDUAL, baseline.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
-    names = _chosen(judge, held, max_count)
+    names = _chosen(baseline, held, max_count)
     try:
         guard, folds = _learnt(held, names, scheme, learn.limits)
     except DataError as lacking:
         return no_guard(f"{why}; {lacking}")
-    guard, cost = _affordable(judge, held, guard, folds)
+    guard, cost = _affordable(baseline, held, guard, folds)
     if cost > MAX_COST:
         return no_guard(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
     symptoms = ", or ".join(rule.symptom for rule in RULES)

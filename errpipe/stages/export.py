@@ -155,7 +155,7 @@ def _guard_of(
     context.progress(0.2, "regressing each temperature on the others")
     folders = context.every("validation").values()
     schemes = (jsonfile.read(folder / _artefacts.VALIDATION)["scheme"] for folder in folders)
-    chosen = _guarded.choose_guard(_guarded.baseline(passed, options, recording, plain), next(schemes, None))
+    chosen = _guarded.choose_guard(_guarded.baseline_of(passed, options, recording, plain), next(schemes, None))
     if options.guard and (chosen.guard is None or not chosen.guard.compares):
         raise GateError(f"export: guard: true: {chosen.sentence}")
     if chosen.guard is not None:

@@ -145,5 +145,5 @@ def test_a_few_blocks_in_which_names_extrapolate_do_not_count(left, blocks, coun
     table = SimpleNamespace(n=n, rows=rows, stretches=[(k, k + n // 40, int(fold[k])) for k in starts])
     case = SimpleNamespace(library=SimpleNamespace(table=table))
     order = np.concatenate(rows)
-    apart = holdout._apart(case, before[order], after[order])
+    apart = holdout._without_worst_blocks(case, before[order], after[order])
     assert (apart[1] > unnamed.SMALLER * apart[0]) is counts
