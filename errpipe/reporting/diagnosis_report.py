@@ -188,7 +188,7 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
         axes[0].plot(x[rows], trace.before[rows], ".", ms=2.5, color=svg.FLOOR, label="recorded minus simulated")
         for name, colour in trace.colours().items():
             values = trace.contributions[name]
-            line, text = svg.broken(x[rows], values[rows], trace.run[rows]), _finding_label(name, values, r.unit)
+            line, text = svg.with_gaps(x[rows], values[rows], trace.run[rows]), _finding_label(name, values, r.unit)
             axes[0].plot(*line, lw=1.4, color=colour, label=text)
         axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8, markerscale=3)
         axes[1].plot(x[rows], trace.after[rows], ".", ms=2.5, color=svg.AFTER, label="after")

@@ -79,7 +79,7 @@ def in_hours(label: str, x: np.ndarray) -> tuple[str, np.ndarray]:
     return label, x
 
 
-def broken(x: np.ndarray, y: np.ndarray, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def with_gaps(x: np.ndarray, y: np.ndarray, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """x and y of a line that is not drawn from one run to the next."""
     first = np.flatnonzero(run[1:] != run[:-1]) + 1
     return np.insert(x.astype(float), first, np.nan), np.insert(y.astype(float), first, np.nan)

@@ -62,9 +62,8 @@ def sensors(recording: Recording) -> tuple[str, ...]:
 
 ROOM_WORDS = ("room", "ambient", "hall", "shop", "environment")
 AIR_WORDS = ("air", *ROOM_WORDS)
-NO_ROOM = re.compile(
-    r"hall[ _-]?(sensor|effect|probe|element)|shallow|challeng|headroom"
-)  # words that hold one of them
+# Words that hold one of ROOM_WORDS, and are no room.
+NO_ROOM = re.compile(r"hall[ _-]?(sensor|effect|probe|element)|shallow|challeng|headroom")
 COOLANT_WORDS = ("coolant", "cutting fluid", "emulsion", "lubricant tank")
 
 

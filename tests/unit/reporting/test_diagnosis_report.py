@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.domain.diagnosis import Diagnosis, Finding, HoldOutFigures, ResponseDiagnosis
 from errpipe.reporting.diagnosis_report import FINDINGS, Trace, _clock, render
-from errpipe.reporting.svg import broken
+from errpipe.reporting.svg import with_gaps
 
 ROWS = 400
 
@@ -74,7 +74,7 @@ def test_equal_input_gives_equal_bytes() -> None:
 
 def test_no_line_leads_from_one_run_to_the_next() -> None:
     """A pause of weeks was crossed by a straight line."""
-    x, y = broken(np.arange(5.0), np.arange(5.0) ** 2, np.array([0, 0, 1, 1, 2]))
+    x, y = with_gaps(np.arange(5.0), np.arange(5.0) ** 2, np.array([0, 0, 1, 1, 2]))
     assert np.isnan(x).tolist() == [False, False, True, False, False, True, False]
     assert np.isnan(y).tolist() == np.isnan(x).tolist() and x[~np.isnan(x)].tolist() == [0, 1, 2, 3, 4]
 
