@@ -257,7 +257,6 @@ def _admitted(judged: Mapping[str, _HeldOutPredictions], deciding: set[str]) -> 
 
     Other groupings are reported and exclude no family: if a fit of half of the duty cycles fails on the others, that is
     little evidence about the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less residual.
-    hardly informative about the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less residual.
     """
     count = len(next(iter(judged.values())).predicted)
     regret, useful = np.ones(count), np.ones(count, dtype=bool)
