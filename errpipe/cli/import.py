@@ -64,7 +64,7 @@ def command(
     try:
         proposal, shown = work.prepare(files, reader, options)
     except DataError as err:
-        raise DataError(f"{err}{_again(str(err), context)}") from None
+        raise DataError(f"{err}{_repeat_command(str(err), context)}") from None
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
     if not yes:
         _confirm(lines, asked=not json)
@@ -73,7 +73,7 @@ def command(
     print_result("import", {**work.plain(shown), "folder": str(out)}, says, as_json=json)
 
 
-def _again(question: str, context: typer.Context) -> str:
+def _repeat_command(question: str, context: typer.Context) -> str:
     """The same command with the answer that a question on the axis or the unit names first; else ''."""
     answer = re.search(r"[Dd]eclare it(?: with|:) (--(?:axis|unit) [A-Za-z]\w*)", question)
     if answer is None:

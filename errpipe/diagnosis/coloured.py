@@ -135,7 +135,7 @@ def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
     return best
 
 
-def copies(values: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+def surrogates(values: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Surrogate data (Theiler et al. 1992): series of the same spectrum with random phases, shape (count, rows)."""
     size = np.abs(np.fft.rfft(np.r_[values, values[::-1]]))  # mirrored, so that the ends do not form a step
     return np.fft.irfft(size * np.exp(2j * np.pi * rng.random((count, size.size))), 2 * values.size)[:, : values.size]
@@ -151,7 +151,7 @@ def is_nonlinear(left: np.ndarray, run: np.ndarray) -> bool:
     if sum(p.size for p in parts) < LEAST_MEANS:
         return False
     run, left = np.repeat(np.arange(len(parts)), [p.size for p in parts]), np.concatenate(parts)
-    every = np.vstack([left, copies(left - left.mean(), COPIES, np.random.default_rng(SEED))])
+    every = np.vstack([left, surrogates(left - left.mean(), COPIES, np.random.default_rng(SEED))])
     scales = [means for width in WIDTHS if (means := _means(every, run, width))]
     ways = (np.hstack(way) for means in scales for way in (means, [np.diff(m) for m in means]))
     return any(way.shape[1] >= LEAST_MEANS and _stands_out(way) for way in ways)

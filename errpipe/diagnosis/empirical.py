@@ -15,7 +15,7 @@ import numpy as np
 from errpipe.diagnosis import unnamed
 from errpipe.diagnosis.against import clustered
 from errpipe.diagnosis.case import Case, residual
-from errpipe.diagnosis.coloured import copies
+from errpipe.diagnosis.coloured import surrogates
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.domain import driver as d
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, Finding, FoundParameter, ResponseDiagnosis
@@ -143,7 +143,7 @@ def equation(
     far = target.size // 10, target.size - target.size // 10
     for k in range(SURROGATES):
         shifted = np.roll(target, int(rng.integers(*far))) * rng.choice([-1.0, 1.0])
-        surrogate = shifted if k % 2 else copies(target, 1, rng)[0]
+        surrogate = shifted if k % 2 else surrogates(target, 1, rng)[0]
         if search.held_out(surrogate, MOST_TERMS)[0].max() >= shares[count]:
             return None
     chosen = search.refined(target, count)

@@ -104,18 +104,18 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     made = _set_up(raw, conditioned, pair, progress)
     progress(0.5, f"{pair.component}: looking for what is missing")
     library = made.library
-    search, first = _settled(made)
+    search, first = _converged_search(made)
     in_part = _with_parts(search, first, conditioned, pair.rows)
     made.prior = search.prior.copy()
-    plain = _possible(replace(made, prior=search.prior.copy(), plain=True), copy.copy(search), in_part)
+    plain = _best_plausible(replace(made, prior=search.prior.copy(), plain=True), copy.copy(search), in_part)
     if plain.explanation.accepted and needs_noise_model(plain, plain.search, plain.explanation):
-        _held(plain)
+        _held_out(plain)
     count, width = len(library.hypotheses), library.table.width
-    case = _possible(made, search, *([first] if in_part is first else [first, in_part]))
+    case = _best_plausible(made, search, *([first] if in_part is first else [first, in_part]))
     usual_noise = library.table.colour == USUAL
     if plain.held is None or (usual_noise and not case.explanation.accepted):
         return case
-    own = _held(case)
+    own = _held_out(case)
     if usual_noise and own.after <= HARMFUL * own.before:
         return case
     if not _speaks_for_usual_noise(own, plain.held):
@@ -146,13 +146,13 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
     return out & (np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0] < size)
 
 
-def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
+def _best_plausible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best of the search's explanations of a response, without implausible findings."""
     case = _found_by_folds(made, _without_impossible(made, search, *explanations))
     made.taken_back = (
-        rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
+        rounded(case) or (only_noise(case) and not _held_out(case).predicts_whole_runs()) or not _found_again(case)
     )
-    return _among(made, False) if made.taken_back else case
+    return _best_among(made, False) if made.taken_back else case
 
 
 def _found_by_folds(made: SetUp, case: Case) -> Case:
@@ -160,23 +160,23 @@ def _found_by_folds(made: SetUp, case: Case) -> Case:
 
     Two look-alikes may fit all rows better than the single true effect if the folds select it in its own form.
     """
-    if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
+    if made.plain or len(case.chosen()) < 2 or max(_held_out(case).agreement) >= holdout.AGAIN or not case.held.often:
         return case
-    one = _among(made, np.array([h.effect in case.held.often for h in made.library.hypotheses]))
+    one = _best_among(made, np.array([h.effect in case.held.often for h in made.library.hypotheses]))
     case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
     close = one.chosen() and case.search.joint(case.chosen()) - one.search.joint(one.chosen()) <= UNSTABLE
-    return one if close and not unnamed.departures_predict_held_out(one, _held(one)) else case
+    return one if close and not unnamed.departures_predict_held_out(one, _held_out(one)) else case
 
 
-def _among(made: SetUp, among: np.ndarray | bool) -> Case:
+def _best_among(made: SetUp, among: np.ndarray | bool) -> Case:
     """The best explanation among some hypotheses, shape (hypotheses,); the others remain in the library."""
     prior, made.prior = made.prior, np.where(among, made.prior, NEVER)
-    case = _explained(made, *_settled(made))
+    case = _best_explanation(made, *_converged_search(made))
     case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]  # grid points may have been added
     return case
 
 
-def _held(case: Case) -> holdout.HeldOut:
+def _held_out(case: Case) -> holdout.HeldOut:
     case.held = case.held or holdout.held_out(case)
     return case.held
 
@@ -185,22 +185,22 @@ def _found_again(case: Case) -> bool:
     """Do folds select weak or partial names again, or do names improve held-out rows as much as they should?"""
     gain = max((f.gain for f in case.explanation.accepted), default=np.inf)
     strong = gain > WEAK and not any(f.hypothesis.mask for f in case.explanation.accepted)
-    return not case.chosen() or strong or _held(case).confirms(gain, case.search.rows or case.run.size)
+    return not case.chosen() or strong or _held_out(case).confirms(gain, case.search.rows or case.run.size)
 
 
 def _without_impossible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation without implausible findings, and without insignificant ones if one is nearly as likely."""
-    case = _explained(made, search, *explanations)
+    case = _best_explanation(made, search, *explanations)
     for _ in range(RETRIES):
         out = plausible.impossible(case)
         if not out:
             break
-        case = _without(made, out[-1])  # the weakest: the others may be implausible only because of it
+        case = _best_without(made, out[-1])  # the weakest: the others may be implausible only because of it
     else:
-        case = _among(made, False)  # no effect is accepted in their place either
+        case = _best_among(made, False)  # no effect is accepted in their place either
     for m in plausible.doubtful(case)[:1]:
         prior = made.prior
-        other = _without(made, m)
+        other = _best_without(made, m)
         joint = [c.search.joint(c.chosen()) for c in (other, case)]
         whole = [c.search.evidence(c.chosen()) - MISSING * len(c.chosen()) for c in (other, case)]
         close = joint[0] > joint[1] - NEARLY and whole[0] > whole[1] - NEARLY
@@ -211,14 +211,14 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
     return case
 
 
-def _without(made: SetUp, m: model.FittedFinding) -> Case:
+def _best_without(made: SetUp, m: model.FittedFinding) -> Case:
     """The best explanation without a finding, at any value of its non-linear parameters."""
     own = [(h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers) for h in made.library.hypotheses]
     made.prior = np.where(own, NEVER, made.prior)  # earlier searches keep their own
-    return _explained(made, *_settled(made))
+    return _best_explanation(made, *_converged_search(made))
 
 
-def _settled(made: SetUp) -> tuple[Search, Explanation]:
+def _converged_search(made: SetUp) -> tuple[Search, Explanation]:
     return converged(made.library, made.data, made.nuisance, made.prior, made.noise_estimate)
 
 
@@ -262,7 +262,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     )  # fmt: skip
 
 
-def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
+def _best_explanation(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation found by the search, in the noise that suits it, and the remainder test."""
     nuisance, rows = made.nuisance, made.pair.rows
     explanation = explanations[-1]

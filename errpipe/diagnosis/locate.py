@@ -20,7 +20,7 @@ MOST_CHANGES = 4  # change points reported; more indicate a drift
 CHANGE = 25.0  # squared contrast, in variances of independent block means, from which a change is significant
 
 
-def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Extent:
+def extent_of(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Extent:
     """The range to which a hypothesis is limited."""
     if h.mask and h.mask[0] == "runs":
         return Extent(runs=tuple(h.mask[1]))

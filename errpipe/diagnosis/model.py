@@ -61,7 +61,7 @@ def fit_finding(case: Case, k: int) -> FittedFinding:
     dependence = _dependence(case, scene, block, b)
     cov = cov * dependence
     if curved is not None:
-        cov[:cores, :cores] += _carried_over(case, scene, hypothesis, f.size, curved, scale[:cores])
+        cov[:cores, :cores] += _covariance_from_nonlinear(case, scene, hypothesis, f.size, curved, scale[:cores])
     contribution = block @ b
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
@@ -78,14 +78,14 @@ def fit_finding(case: Case, k: int) -> FittedFinding:
         joint = max(joint, alone)
     if curved is None and spans and not projected:  # a size depends on the scale at which it was fitted
         wide = cov.copy()
-        wide[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
-        linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, wide, scale), strict=True)]
+        wide[:cores, :cores] += _covariance_over_spans(case, scene, hypothesis, f.size, spans, scale[:cores])
+        linear = [_with_longer_interval(e, w) for e, w in zip(linear, _linear(hypothesis, b, wide, scale), strict=True)]
     estimates = linear + _amplitudes(linear, cov, scale)
     if not hypothesis.mask:
         own, sd = case.library.textbook(f.index), 2.0 * max(f.size, 3.0) * case.sigma * freedom
         between = min((_between_stretches(scene, block[:, :k], sd, cores) for k in (cores, own)), key=np.trace)
         uneven = _linear(hypothesis, b, between, scale) + _amplitudes(linear, between, scale)
-        estimates = [_wider(e, u) for e, u in zip(estimates, uneven, strict=True)]
+        estimates = [_with_longer_interval(e, u) for e, u in zip(estimates, uneven, strict=True)]
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
     for name, unit, value, low, high in spans:
@@ -226,9 +226,9 @@ def _refine(case: Case, scene: Scene, h: Hypothesis):
         steps = search.neighbours(value, best.terms[0], case.recording)
         if search.bounded:
             steps = steps[(steps >= p.bounds[0]) & (steps <= p.bounds[1])]
-        scored = [(_gain(case, scene, _at(best, j, float(v))), float(v)) for v in [value, *steps]]
+        scored = [(_gain(case, scene, _with_value(best, j, float(v))), float(v)) for v in [value, *steps]]
         top, where = max(scored)
-        best = _at(best, j, where)
+        best = _with_value(best, j, where)
         inside = [v for g, v in scored if g > top - DROP]
         spans.append((p.name, p.unit, where, *search.widened(min(inside), max(inside), best.terms[0], case.recording)))
     return best, spans
@@ -245,10 +245,10 @@ def _refine_jointly(case: Case, scene: Scene, h: Hypothesis):
     term, start = h.terms[0], np.log(np.abs(h.nonlinear[0]))
 
     def loss(at: np.ndarray) -> float:
-        return -_gain(case, scene, _moved(h, at))
+        return -_gain(case, scene, _with_values(h, at))
 
     optimum = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 0.02, "maxfev": 150}).x
-    best, k = _moved(h, optimum), optimum.size
+    best, k = _with_values(h, optimum), optimum.size
     steps = STEP * np.eye(k)
     centre = loss(optimum)
     curvature = np.empty((k, k))
@@ -268,12 +268,14 @@ def _refine_jointly(case: Case, scene: Scene, h: Hypothesis):
     return best, spans, cov
 
 
-def _carried_over(case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.ndarray, scale: np.ndarray):
+def _covariance_from_nonlinear(
+    case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.ndarray, scale: np.ndarray
+):
     """Covariance of the linear parameters, times their scales, due to the non-linear ones."""
     at, slopes = np.log(np.abs(h.nonlinear[0])), []
     for step in STEP * np.eye(at.size):
         ends = []
-        for other in (_moved(h, at + step), _moved(h, at - step)):
+        for other in (_with_values(h, at + step), _with_values(h, at - step)):
             block, freedom, own, cores = _columns(case, other)
             ends.append(_fit(scene, block, freedom, size, case)[0][:cores] / own[:cores])
         slopes.append((ends[0] - ends[1]) / (2 * STEP))
@@ -281,7 +283,9 @@ def _carried_over(case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.
     return slope @ cov @ slope.T
 
 
-def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: np.ndarray) -> np.ndarray:
+def _covariance_over_spans(
+    case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: np.ndarray
+) -> np.ndarray:
     """Covariance of the linear parameters, times their scales, over the span of each non-linear one alone."""
     out = np.zeros((scale.size, scale.size))
     for j, (_, _, _, *ends) in enumerate(spans):
@@ -290,7 +294,7 @@ def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: n
         sizes = []
         for end in ends:
             try:
-                block, freedom, own, cores = _columns(case, _at(h, j, float(end)))
+                block, freedom, own, cores = _columns(case, _with_value(h, j, float(end)))
             except ValueError:  # its columns are constant there
                 break
             sizes.append(_fit(scene, block, freedom, size, case)[0][:cores] / own[:cores])
@@ -300,17 +304,17 @@ def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: n
     return out
 
 
-def _wider(e: Estimate, other: Estimate) -> Estimate:
+def _with_longer_interval(e: Estimate, other: Estimate) -> Estimate:
     """The estimate with the interval of another one around its own value, if that is longer."""
     reach = max(e.high - e.value, (other.high - other.low) / 2)
     return replace(e, low=e.value - reach, high=e.value + reach)
 
 
-def _moved(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:
+def _with_values(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:
     """The hypothesis at other non-linear values, given by their logarithms; signs are kept."""
     values = tuple(float(s * np.exp(v)) for s, v in zip(np.sign(h.nonlinear[0]), logarithms, strict=True))
     return replace(h, nonlinear=(values,) * len(h.nonlinear))
 
 
-def _at(h: Hypothesis, j: int, value: float) -> Hypothesis:
+def _with_value(h: Hypothesis, j: int, value: float) -> Hypothesis:
     return replace(h, nonlinear=tuple((*nl[:j], value, *nl[j + 1 :]) for nl in h.nonlinear))

@@ -45,7 +45,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
     made = [model.fit_finding(case, k) for k in range(len(indicators))]
     findings = [finding(case, k, made[k], indicators) for k in range(len(indicators))]
-    most = _most(case, made, indicators, after)
+    most = _confidence_limits(case, made, indicators, after)
     findings = [unnamed.capped(f, limit) for f, limit in zip(findings, most, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.unknown_probability(case, indicators, held)
@@ -86,12 +86,14 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         whiteness=whiteness(case),
         significance=surrogates,
     )
-    says = in_words(out) + (f" {law.sentence()}" if law else "") + _datums(case)
+    says = in_words(out) + (f" {law.sentence()}" if law else "") + _datum_sentence(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
 
 
-def _most(case: Case, made: list[model.FittedFinding], indicators: list[confidence.Indicators], after) -> list[float]:
+def _confidence_limits(
+    case: Case, made: list[model.FittedFinding], indicators: list[confidence.Indicators], after
+) -> list[float]:
     """Upper limits of the confidence of names. after: residual of the explanation, shape (rows,).
 
     Drifting noise, or another name with a far-off gain, is as likely, unless predicted held-out rows contradict.
@@ -116,7 +118,7 @@ def _most(case: Case, made: list[model.FittedFinding], indicators: list[confiden
     return most
 
 
-def _datums(case: Case) -> str:
+def _datum_sentence(case: Case) -> str:
     """Sentence on the datums of single runs and their spread; '' if all runs share one, or nearly so."""
     values = own_datums(case, case.chosen())
     if values is None or rms(values) < AS_GOOD_AS_ONE * case.sigma:
@@ -218,14 +220,14 @@ def finding(case: Case, k: int, made: model.FittedFinding, indicators: list[conf
         effect=h.effect,
         confidence=round(min(name, of_class / alike), 3),
         drivers=h.drivers,
-        where=locate.where(h, case.recording, made.hypothesis.nonlinear[0]),
+        where=locate.extent_of(h, case.recording, made.hypothesis.nonlinear[0]),
         parameters=tuple(
             FoundParameter(name=e.name, value=e.value, unit=e.unit, ci95=(e.low, e.high)) for e in made.estimates
         ),
         indistinguishable_from=tuple(r[0] for r in close),
         confidence_of_class=round(of_class, 3) if close else None,
         would_separate=sentence,
-        says=_says(case, h.effect, h.drivers, made),
+        says=_sentence(case, h.effect, h.drivers, made),
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
         compensable=term.compensable and bool(term.lower(values)) and not h.mask,
@@ -298,7 +300,7 @@ def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[
         yield nuisance, float(row @ b), float(np.sqrt(row @ covariance @ row))
 
 
-def _says(case: Case, effect: str, drivers, made: model.FittedFinding) -> str:
+def _sentence(case: Case, effect: str, drivers, made: model.FittedFinding) -> str:
     wave = any(e.name.startswith("amplitude") for e in made.estimates)
     shown = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine"))) and (e.low or e.high)]
     last = shown[-1:] if wave and len(shown) > MOST_NUMBERS else []
@@ -314,12 +316,12 @@ def _says(case: Case, effect: str, drivers, made: model.FittedFinding) -> str:
     artefact = terms[0].family == "measurement"  # of the recording: no simulation has it
     return (
         f"The {'recording contains' if artefact else 'simulation lacks'} {effect.replace('_', ' ')}, driven by "
-        f"{', '.join(drivers)}: {numbers}{_unusual(made)}; "
+        f"{', '.join(drivers)}: {numbers}{_atypical_size_sentence(made)}; "
         f"it makes up {rounded(float(np.std(made.contribution)))} {case.pair.unit} rms of the mismatch."
     )
 
 
-def _unusual(made: model.FittedFinding) -> str:
+def _atypical_size_sentence(made: model.FittedFinding) -> str:
     """A sentence on lags or lengths far from typical ones: the form may stand for another effect.
 
     Typical lengths are of linear axes: there is none for an angle.

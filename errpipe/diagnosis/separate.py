@@ -46,7 +46,7 @@ def _predict(fitted: Fitted, trial: Recording) -> np.ndarray:
 
 def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
     """Hypothetical recordings: one driver or one axis changes, the others are constant."""
-    columns, constant = recording.manifest.columns, _rest(recording)
+    columns, constant = recording.manifest.columns, _at_rest(recording)
     names = [n for n in dict.fromkeys(drivers) if n in columns and n in recording]
     for name in (n for n in names if columns[n].role not in (*MOTION, "time", "run", "direction")):
         low, high = np.nanquantile(recording.array(name), [0.02, 0.98])
@@ -61,12 +61,12 @@ def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
         )
     for axis in dict.fromkeys(columns[n].axis for n in names if columns[n].role in (*MOTION, "direction")):
         place = recording.name("position", axis=axis)
-        for what, moved in _moves(recording, axis, place, constant) if place else ():
+        for what, moved in _axis_moves(recording, axis, place, constant) if place else ():
             rows = np.linspace(0, STEPS - 1, moved[place].size).astype(int)
             yield what, Recording(recording.manifest, constant.iloc[rows].reset_index(drop=True).assign(**moved))
 
 
-def _moves(recording: Recording, axis: str | None, place: str, constant: pd.DataFrame):
+def _axis_moves(recording: Recording, axis: str | None, place: str, constant: pd.DataFrame):
     """Moves of one axis that it can make, all its columns in agreement: slow, at several speeds, a sine, reversals."""
     (low, high), unit = np.nanquantile(recording.array(place), [0.02, 0.98]), recording.manifest.columns[place].unit
     position, side = (place, *recording.names("command", axis=axis)), recording.names("direction", axis=axis)
@@ -97,7 +97,7 @@ def _moves(recording: Recording, axis: str | None, place: str, constant: pd.Data
         yield what, made(middle + x, v, phase / rate, **{name: a})
 
 
-def _rest(recording: Recording) -> pd.DataFrame:
+def _at_rest(recording: Recording) -> pd.DataFrame:
     """Every input constant at its median, the time over that of the recording."""
     labels, t = {*recording.names("run"), *recording.names("group")}, recording.time()
     rest = {n: "1" if n in labels else float(np.nanmedian(recording.array(n))) for n in recording.frame.columns}

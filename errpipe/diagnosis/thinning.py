@@ -73,7 +73,7 @@ def thinned(recording: Recording, seed: int = 0) -> Thinned:
     for name in recording.names("error"):
         columns[name] = np.where(judged[rows], recording.array(name)[rows], np.nan)
     short = Recording(recording.manifest, frame.assign(**columns), recording.between)
-    return Thinned(short, (_rule(n, judged, usual, fast), *_screens(recording, turns, usual)), rows)
+    return Thinned(short, (_rule_text(n, judged, usual, fast), *_screens(recording, turns, usual)), rows)
 
 
 def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -125,7 +125,7 @@ def _settled(recording: Recording, fast: bool) -> dict[str, np.ndarray]:
     return out
 
 
-def _rule(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
+def _rule_text(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
     """Description of what was done."""
     count = int(judged.sum())
     if not fast:

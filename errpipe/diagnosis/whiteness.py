@@ -33,11 +33,11 @@ def whiteness(case: Case) -> Whiteness:
     share = slow_share(residual(case), case.run)
     used = _whiten(case.judged().columns([i for i, _ in case.chosen()]), case.run, share)
     frame = Frame(_whiten(case.y, case.run, share), used, case.run, share)
-    made = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
+    made = [frame.test(name, how, columns) for name, how, columns in _tests(case.recording, case.pair.rows)]
     tests = [t for t in made if t is not None]
     tests.append(frame.in_order())
     p = min(1.0, len(tests) * min(t.p for t in tests))
-    return Whiteness(p=p, slow_share=float(share), tests=tuple(tests), says=_says(tests, p))
+    return Whiteness(p=p, slow_share=float(share), tests=tuple(tests), says=_sentence(tests, p))
 
 
 def _whiten(columns: np.ndarray, run: np.ndarray, share: float) -> np.ndarray:
@@ -101,7 +101,7 @@ class Frame:
         return WhitenessTest(against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1, p=p)
 
 
-def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
+def _tests(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
     """The tests of the residual: (input, how, columns (rows, k))."""
     run = recording.run_codes()[rows]
     sides = both_ways(recording, rows)
@@ -150,7 +150,7 @@ def structured(tests: Sequence[WhitenessTest]) -> list[WhitenessTest]:
     return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
 
 
-def _says(tests: list[WhitenessTest], p: float) -> str:
+def _sentence(tests: list[WhitenessTest], p: float) -> str:
     alarming = structured(tests)
     t = alarming[0] if alarming else min(tests, key=lambda t: t.p)
     where = t.against if t.how == "level" else f"{t.against}, {t.how}"

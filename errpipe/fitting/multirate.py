@@ -52,7 +52,7 @@ def held(source: Source) -> Source:
 def _joined(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
     """Result of one pass for each sensor: of all parts."""
     sensors = {n: _Sensor() for n in names}
-    for part in source.over(_surveyed, names) if names else ():
+    for part in source.over(_survey, names) if names else ():
         for name, sensor in part.items():
             sensors[name].steps.update(sensor.steps)
             sensors[name].first.update(sensor.first)
@@ -70,7 +70,7 @@ def _holding(sensors: dict[str, _Sensor], limits: dict[str, int], source: Source
     return replace(source, batches=batches)
 
 
-def _surveyed(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
+def _survey(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
     """Result of one pass for each sensor."""
     sensors = {n: _Sensor() for n in names}
     at, begin, current = 0, 0, None
@@ -107,13 +107,13 @@ def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]])
             row = in_run + np.arange(end - first)
             for name, (sensor, limit) in sensors.items():
                 before, first_reading = latest.get(name, (-1, np.nan)), sensor.first.get(run, (0, np.nan))
-                filled, latest[name] = _filled(columns[name][first:end], row, before, first_reading, limit)
+                filled, latest[name] = _held_values(columns[name][first:end], row, before, first_reading, limit)
                 columns[name][first:end] = filled
             in_run += end - first
         yield _with(batch, columns)
 
 
-def _filled(
+def _held_values(
     values: np.ndarray, row: np.ndarray, before: tuple[int, float], first: tuple[int, float], limit: int
 ) -> tuple[np.ndarray, tuple[int, float]]:
     """A stretch of a run with each reading held for at most `limit` rows, (rows,), and the last reading in it.

@@ -75,7 +75,7 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
     names = [*manifest.names("run"), *([] if all_measured else responses)] or responses[:1]
     lengths: dict[str, int] = dict(source.runs or {}) if all_measured else {}
     measured: set[str] = set(lengths)
-    for part in () if lengths else source.over(_surveyed, names, all_measured):
+    for part in () if lengths else source.over(_survey_part, names, all_measured):
         for label in part[0]:
             if label in lengths:
                 raise DataError(f"run {label} has rows in two parts: the rows of a run must be in one")
@@ -92,7 +92,7 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
     return Layout(tuple(lengths), np.array(list(lengths.values())), chosen, source.rows)
 
 
-def _surveyed(source: Source, names: Sequence[str], all_measured: bool) -> tuple[dict[str, int], set[str]]:
+def _survey_part(source: Source, names: Sequence[str], all_measured: bool) -> tuple[dict[str, int], set[str]]:
     """Rows of each run of a part, in order, and the runs with a response. Raises DataError if runs are mixed."""
     lengths: dict[str, int] = {}
     measured: set[str] = set()

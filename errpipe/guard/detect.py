@@ -35,7 +35,7 @@ def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
-def _first(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
+def _first_candidate(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
     """Per sensor 1 where its squared residual is the largest; and the largest. Failed sensors come first."""
     squares, still = map(c.squared, residuals(guard)), _by_itself(guard)
     ahead = [FROZEN_FIRST * (len(still) - i) for i in range(len(still))]  # distinct, so that two of them are ordered
@@ -43,9 +43,9 @@ def _first(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
 
 
 @shared
-def _second(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
+def _second_candidate(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
     """The same after excluding the sensor of the largest residual (orthogonal matching pursuit)."""
-    top, s = _first(guard)[0], residuals(guard)
+    top, s = _first_candidate(guard)[0], residuals(guard)
     left_out = tuple(d.Product(of=pair) for pair in zip(top, s, strict=True))
     squares = []
     for j, row in enumerate(correlations(guard)):
@@ -76,7 +76,7 @@ def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
     While one is frozen or has jumped, the others are tested without it: its reading affects their residuals.
     """
-    (top, most), (second, left) = _first(guard), _second(guard)
+    (top, most), (second, left) = _first_candidate(guard), _second_candidate(guard)
     judged = d.Product(of=(most, c.none_of(*_by_itself(guard))))
     over = d.Switch(of=judged, on=1.0, off=1.0 - TIE_TOLERANCE)
     first_known = c.any_of(d.Switch(of=judged, on=1.0, off=c.UNTIL_RESTART), *_by_itself(guard))
@@ -128,5 +128,5 @@ def all_normal(guard: SensorGuard) -> d.Driver:
     """One driver: 1 while no sensor has failed and no residual is near the threshold; else 0."""
     if not guard.compares:
         return c.none_of(*faults(guard))
-    suspect = d.Switch(of=_first(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE_TOLERANCE)
+    suspect = d.Switch(of=_first_candidate(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE_TOLERANCE)
     return c.none_of(*faults(guard), suspect)

@@ -66,7 +66,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None, others: Se
         sensors=tuple(
             g.GuardedSensor(
                 name=name,
-                **_believable(rows, i),
+                **_range_and_rate(rows, i),
                 precision=tuple(map(float, test.precision[i])),
                 smallest=float(test.threshold / diagonal[i]),
                 estimate=tuple(map(float, weights[i])),
@@ -77,7 +77,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None, others: Se
             )
             for i, name in enumerate(names)
         ),
-        kept=_kept(rows_of(recording, (*names, *others)), others),
+        kept=_kept_sensors(rows_of(recording, (*names, *others)), others),
         threshold=test.threshold,
         horizon_s=HORIZON_S,
         settle_s=SETTLE_S,
@@ -139,13 +139,13 @@ def _estimate(rows: HealthyReadings) -> tuple[np.ndarray, np.ndarray]:
     shift = rows.centred(rise)
 
     def left(ridge: float, of: np.ndarray) -> np.ndarray:
-        return left_out(rows.group, shift, of, lambda values: _regress(values, ridge))
+        return left_out_residuals(rows.group, shift, of, lambda values: _regress(values, ridge))
 
     ridge = min(RIDGES, key=lambda r: float(np.sum(np.log(np.mean(left(r, shift) ** 2, axis=0) + 1e-18))))
     return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
 
 
-def _kept(rows: HealthyReadings, names: Sequence[str]) -> tuple[g.KeptSensor, ...]:
+def _kept_sensors(rows: HealthyReadings, names: Sequence[str]) -> tuple[g.KeptSensor, ...]:
     """The last columns of the readings, each estimated from the rises of those before them."""
     if not names or not len(rows.x):
         return ()
@@ -158,12 +158,14 @@ def _kept(rows: HealthyReadings, names: Sequence[str]) -> tuple[g.KeptSensor, ..
         out[sensors:, :sensors] = np.linalg.solve(square, x.T @ values[:, sensors:] / len(x)).T
         return out
 
-    tried = np.array([left_out(rows.group, rise, rise, partial(weights, ridge=r))[:, sensors:] for r in RIDGES])
+    tried = np.array(
+        [left_out_residuals(rows.group, rise, rise, partial(weights, ridge=r))[:, sensors:] for r in RIDGES]
+    )
     best = np.argmin(np.mean(tried**2, axis=1), axis=0)
     out = []
     for i, name in enumerate(names):
         largest = float(np.max(np.abs(tried[best[i], :, i])))
-        ends = _believable(rows, sensors + i)
+        ends = _range_and_rate(rows, sensors + i)
         estimate = tuple(map(float, weights(rise, RIDGES[best[i]])[sensors + i, :sensors]))
         out.append(
             g.KeptSensor(name=name, low=ends["low"], high=ends["high"], estimate=estimate, within=max(largest, 1e-3))
@@ -177,7 +179,7 @@ def _regress(values: np.ndarray, ridge: float) -> np.ndarray:
     return np.eye(len(precision)) - precision / np.diag(precision)[:, None]
 
 
-def left_out(
+def left_out_residuals(
     group: np.ndarray, learnt_from: np.ndarray, judged: np.ndarray, weights: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """Residuals of estimates in every row, with weights learnt without its group; shape as judged."""
@@ -201,7 +203,7 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
         sensors=tuple(
             g.GuardedSensor(
                 name=name,
-                **_believable(rows, i),
+                **_range_and_rate(rows, i),
                 start=starts[i],
                 estimate=(0.0,) * len(names),
                 stands_in=False,
@@ -258,7 +260,7 @@ def _hours(rows: HealthyReadings) -> float:
     return float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
 
 
-def _believable(rows: HealthyReadings, i: int) -> dict[str, float]:
+def _range_and_rate(rows: HealthyReadings, i: int) -> dict[str, float]:
     """Range and rate of one healthy reading."""
     x = rows.x[:, i]
     low, high = float(np.min(x)), float(np.max(x))

@@ -21,7 +21,7 @@ def trusted(
     driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None, apart: bool = True
 ) -> d.Driver:
     """`guarded`, times `trust`; a driver without guarded sensors is unchanged."""
-    if not _reads(driver, guard):
+    if not _reads_guarded(driver, guard):
         return driver
     return d.Product(of=(guarded(driver, guard, within, apart), trust(guard)))
 
@@ -38,7 +38,7 @@ def guarded(
     within: sensor -> range of an estimate, degC; default: the range of a healthy sensor. Without a
     range the latched values, which contain a clock, would leave the correction unbounded.
     """
-    if not _reads(driver, guard) or (apart and isinstance(driver, d.First)):
+    if not _reads_guarded(driver, guard) or (apart and isinstance(driver, d.First)):
         return driver
     if isinstance(driver, d.Input) and driver.name in guard.kept_names():
         return d.Affine(weights=(1.0, 1.0), of=(driver, _kept(guard, driver.name)))
@@ -58,7 +58,7 @@ def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[flo
     if isinstance(driver, d.Input) and driver.name in guard.kept_names():
         return _kept(guard, driver.name)
     if isinstance(driver, d.Affine):
-        parts = [p for p in zip(driver.weights, driver.of, strict=True) if _reads(p[1], guard)]
+        parts = [p for p in zip(driver.weights, driver.of, strict=True) if _reads_guarded(p[1], guard)]
         changes = tuple(_change(x, guard, within) for _, x in parts if not isinstance(x, d.First))
         weights = tuple(weight for weight, x in parts if not isinstance(x, d.First))
         if (missed := _missed_rise(driver, guard)) is not None:
@@ -110,7 +110,7 @@ def _clock() -> d.Driver:
     return d.lag(d.Constant(value=LONGEST_S / NEWLY_S), LONGEST_S)
 
 
-def _reads(driver: d.Driver, guard: SensorGuard) -> bool:
+def _reads_guarded(driver: d.Driver, guard: SensorGuard) -> bool:
     return not set(d.inputs(driver)).isdisjoint((*guard.names(), *guard.kept_names()))
 
 
@@ -121,7 +121,7 @@ def _is_linear(driver: d.Driver) -> bool:
 def _has_lag(driver: d.Driver, guard: SensorGuard) -> bool:
     """Whether a lag of a guarded reading is in a driver."""
     if isinstance(driver, d.Lag):
-        return _reads(driver, guard)
+        return _reads_guarded(driver, guard)
     of = getattr(driver, "of", ())
     return any(_has_lag(x, guard) for x in (of if isinstance(of, tuple) else (of,)))
 

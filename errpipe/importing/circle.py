@@ -67,7 +67,7 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     if (feed := _fact(_FEED, texts)) is not None:
         p.put("feed", np.full(turn.size, feed), "from a line above the table", role="feed", unit="mm/min")
     p.put("E_R", values, why, role="error", component="E_R", unit=unit, _headers=(of,))
-    signs.change(p, layout, options)
+    signs.convert_errors(p, layout, options)
     for entry in p.entries.values():
         entry.pop("_headers", None)
     p.facts["protocol"] = "ballbar_circle"
@@ -114,11 +114,11 @@ def _unit(layout: Layout, options: ImportOptions, values: np.ndarray) -> tuple[s
 
 def _is_reading(c: RawColumn) -> bool:
     text = plain(c.header)
-    named = _way(text) or (_READING.search(text) and kind_by_name(c.header) not in ("feed", "run", "time"))
+    named = _rotation_sense(text) or (_READING.search(text) and kind_by_name(c.header) not in ("feed", "run", "time"))
     return c.numeric and bool(named) and not _ANGLE.search(text)
 
 
-def _way(text: str) -> str | None:
+def _rotation_sense(text: str) -> str | None:
     word = plain(text)
     return "ccw" if _CCW.search(word) else "cw" if _CW.search(word) else None
 
@@ -127,15 +127,17 @@ def _runs(layout: Layout, angle: RawColumn, plane: str) -> list[tuple[str, np.nd
     """Label, angles in rad in the order of motion, and readings of every run. Raises DataError if unclear."""
     turn = angle.values * (1.0 if angle.unit == "rad" else np.pi / 180.0)
     read = [c for c in layout.columns if _is_reading(c)]
-    ways = next((c for c in layout.columns if not c.numeric and any(_way(label(x)) for x in c.cells)), None)
+    ways = next((c for c in layout.columns if not c.numeric and any(_rotation_sense(label(x)) for x in c.cells)), None)
     passes = next((c for c in layout.columns if kind_by_name(c.header) == "run" and c is not ways), None)
     groups = [label(x) for x in passes.cells] if passes is not None else [""] * turn.size
     found: list[tuple[str, np.ndarray, np.ndarray]] = []
     for k, c in enumerate(read):
-        way = _way(c.header)
+        way = _rotation_sense(c.header)
         if len(read) > 1 and way is None:
             raise DataError(f"column {c.header!r}: clockwise or counterclockwise? Write CW or CCW into its header")
-        of_rows = [_way(label(x)) for x in ways.cells] if ways is not None and way is None else [way] * turn.size
+        of_rows = (
+            [_rotation_sense(label(x)) for x in ways.cells] if ways is not None and way is None else [way] * turn.size
+        )
         for group, stated in dict.fromkeys(zip(groups, of_rows, strict=True)):
             rows = np.array([pair == (group, stated) for pair in zip(groups, of_rows, strict=True)])
             rows &= np.isfinite(turn) & np.isfinite(c.values)

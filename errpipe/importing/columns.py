@@ -13,7 +13,16 @@ from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import NUMERIC_SHARE, Layout, RawColumn
 from errpipe.importing.units import in_brackets
-from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DISTANCE, GROUPS, kind_by_name, plain, way_of
+from errpipe.importing.words import (
+    AXIS_LETTER,
+    CORRECTION,
+    DISPLACEMENT,
+    DISTANCE,
+    GROUPS,
+    direction_of,
+    kind_by_name,
+    plain,
+)
 
 KIND_OF_UNIT = {
     **dict.fromkeys(("degC", "degF", "K"), "temperature"),
@@ -169,7 +178,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "error", f"its name ({component_in(column.header)}, a component of ISO 230-1)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
-    if kind == "temperature" and unit is None and values.ticks(column):
+    if kind == "temperature" and unit is None and values.is_even_time(column):
         return "time", f"its name ({column.header!r}) and {EVEN_STEPS}"
     if kind == "temperature" and unit is None and column.numeric and not values.plausible_in_celsius(column):
         return "ignore", "named like a temperature, but its values are not plausible in degC"
@@ -184,13 +193,17 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     if kind == "coolant" and KIND_OF_UNIT.get(unit or "") is not None:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     stated = unit or in_brackets(column.header)
-    if kind == "coolant" and stated is None and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
+    if kind == "coolant" and stated is None and not set(np.unique(values.without_gaps(column))) <= {0.0, 1.0}:
         return "ignore", "named as coolant, but its values are not 0 and 1 (off and on)"
     if kind == "direction" and not _states_sides(column):
         return "ignore", NO_SIDES
     if kind == "run" and _side(column) is not None:
         return "direction", "its values (two signs)"  # `Pass`: forward, return
-    if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(values.known(column)).size <= 2:
+    if (
+        kind == "error"
+        and re.search(CORRECTION, plain(column.header))
+        and np.unique(values.without_gaps(column)).size <= 2
+    ):
         return "ignore", "named as a compensation, but with two values: it states whether one is active"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
@@ -323,7 +336,7 @@ def side(text: object) -> float | None:
     words = [w for w in re.split(r"[\s_.]+", word) if not _FILLER.fullmatch(w)]
     came_from = len(words) == 1 and _SIGN.fullmatch(words[0]) and set(_FROM) & set(re.split(r"[\s_.]+", word))
     word = words[0] if len(words) == 1 else word
-    way = way_of(word)
+    way = direction_of(word)
     return -way if came_from and way is not None else way
 
 

@@ -87,7 +87,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     measured = [a for a in (moved if len(moved) == 1 else axes) if np.any(read[a])]
     if not moved or not measured:
         raise DataError("an inspection report without positions or deviations that vary: nothing to compensate")
-    _ask_who_made_it(len(kept), moved, options)
+    _ask_for_sign(len(kept), moved, options)
     p = Proposal(notes=[*sheet.notes], headers={label(c) for row in rows[:1] for c in row})
     p.put("run", order.visits(*(np.round(place[a], 3) for a in axes)), "repetition number of the position", role="run")
     why = "nominal position of the feature" + ("" if units else "; no unit is stated, taken as mm")
@@ -96,7 +96,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     for a in measured:
         component = f"E{a}{a}" if len(moved) == 1 else f"E_{a}"
         p.put(component, np.round(read[a], 7), "actual minus nominal", role="error", component=component, unit="mm")
-    signs.change(p, Layout([], []), options)
+    signs.convert_errors(p, Layout([], []), options)
     made = options.sign == "actual-minus-commanded"
     if len(moved) > 1:
         p.facts["protocol"] = "hole_pattern" if made else "ball_plate"
@@ -112,7 +112,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     return p
 
 
-def _ask_who_made_it(count: int, moved: list[str], options: ImportOptions) -> None:
+def _ask_for_sign(count: int, moved: list[str], options: ImportOptions) -> None:
     if options.sign is None:
         raise DataError(
             f"an inspection report of {count} features in {', '.join(moved)}: {WHO}? A part that this machine "

@@ -109,7 +109,7 @@ def header_rows(rows: Rows, numbers: Numbers, start: int) -> list[int]:
     for r in range(start - 1, max(start - 4, -1), -1):
         if found and label(rows[r][0] if rows[r] else None).startswith(("#", "%", "//")):
             break  # a comment above the header
-        if found and r and len(_called(rows[r - 1 : r + 1])) > 1:
+        if found and r and len(_channel_names(rows[r - 1 : r + 1])) > 1:
             break  # a list of channels above the header
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
@@ -185,7 +185,7 @@ def named_above(names: list[str], above: Rows) -> list[str]:
     if labels and all(map(is_word, labels)) and len({*labels}) == len(labels):
         units = [split_header(n)[1] for n in names]
         return [names[0], *(f"{c} [{u}]" if u else str(c) for c, u in zip(labels[1:], units[1:], strict=True))]
-    called = _called(above)
+    called = _channel_names(above)
     bare = [split_header(n)[0] for n in names]
     numbered = [n for n in bare if n in called]
     unique = len({called[n] for n in numbered}) == len(numbered) > 1
@@ -197,7 +197,7 @@ def named_above(names: list[str], above: Rows) -> list[str]:
     ]
 
 
-def _called(rows: Rows) -> dict[str, str]:
+def _channel_names(rows: Rows) -> dict[str, str]:
     """The names, with their units, that rows give to channels: `CH1 | Bearing | degC`."""
     labels = [[label(c) for c in filled_cells(row)] for row in rows]
     return {
@@ -214,7 +214,7 @@ def _with_channel(channel: str, name: str) -> str:
 
 def is_legend(sheet: Sheet) -> bool:
     """Whether a sheet lists channels with their names and units, and nothing else below its header."""
-    called = _called(sheet.rows)
+    called = _channel_names(sheet.rows)
     return len(called) >= max(2, len(sheet.rows) - 1) and all(name.endswith("]") for name in called.values())
 
 
@@ -224,7 +224,7 @@ def with_legend(sheets: list[Sheet]) -> list[Sheet]:
     A legend has a row for each of at least two cells of a header, the channel first. It is kept among the sheets.
     """
     for legend in sheets if len(sheets) > 1 else []:
-        called = _called(legend.rows)
+        called = _channel_names(legend.rows)
         for sheet in (s for s in sheets if s is not legend):
             _name_signals(sheet, legend, called)
             heads = [row for row in sheet.rows[:DEEPEST_LEGEND] if sum(label(c) in called for c in row) > 1]
@@ -248,7 +248,7 @@ def _name_signals(sheet: Sheet, legend: Sheet, called: dict[str, str]) -> None:
             sheet.notes.append(f"the sheet {legend.name!r} names the signals of the column {header[i]!r}")
 
 
-def metres(names: list[str]) -> list[str]:
+def with_metres(names: list[str]) -> list[str]:
     """`x_m` as `x [m]` if another header ends likewise, or if it is a target: alone it may be a measured x."""
     found = {n: m for n in names if (m := re.fullmatch(r"(.*\w)(?:[_ ]|( ?/ ?|, ))m", n))}  # `x / m`: not per metre
     targets = any(kind_by_name(m[1]) in ("command", "position") for m in found.values())

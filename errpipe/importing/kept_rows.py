@@ -13,8 +13,8 @@ from errpipe.importing.columns import Guesses
 from errpipe.importing.header import is_word
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import Proposal
+from errpipe.importing.several_files import STALE_STEPS
 from errpipe.importing.sheet import label
-from errpipe.importing.together import STALE_STEPS
 
 
 def readings(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:

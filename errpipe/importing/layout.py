@@ -17,9 +17,9 @@ from errpipe.importing.header import (
     is_moment,
     is_word,
     lift_comments,
-    metres,
     named_above,
     names_of,
+    with_metres,
 )
 from errpipe.importing.sheet import (
     Cell,
@@ -261,7 +261,7 @@ def _layout(
     names = names + [f"column {i + 1}" for i in range(len(names), width)]
     columns, empty = [], []
     count_of: Counter[str] = Counter()
-    for i, text in enumerate(metres(names)):
+    for i, text in enumerate(with_metres(names)):
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
         if stated and unit and stated != unit:

@@ -49,7 +49,7 @@ def unstacked(sheet: Sheet) -> Sheet:
     if at is None:
         return sheet
     names, time, value, unit = at
-    qualities = [i for i, text in enumerate(header) if quality.named(text) and i not in (*names, time, value)]
+    qualities = [i for i, text in enumerate(header) if quality.is_quality(text) and i not in (*names, time, value)]
     each = [quality.bad([row[i] for row in body], header[i]) for i in qualities]
     wrong = np.any(each, axis=0) if each else None
     counts: dict[str, int] = {}

@@ -68,7 +68,7 @@ def names_a_grid_encoder(lines: Iterable[str]) -> bool:
     return any(re.search(_GRID, plain(line)) for line in lines)
 
 
-def named(sheets: Iterable[Sheet], kind: str) -> str:
+def identify(sheets: Iterable[Sheet], kind: str) -> str:
     """The test that the first lines of a file identify and what reads it, as a sentence; '' if it is none of TESTS."""
     for sheet in sheets:
         rows: list[list[Cell]] = [[*sheet.above[:LINES]], [*(sheet.header or [])], *sheet.rows[:LINES]]

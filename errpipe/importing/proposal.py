@@ -25,7 +25,7 @@ from errpipe.importing import (
     quality,
     readings,
     resolve,
-    rows_of,
+    selected_rows,
     signs,
     simulated,
     speeds,
@@ -63,12 +63,12 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     speeds.read_switches(layout)
     if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
         return of_a_ball_bar
-    layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))
+    layout = wide.unpivoted(selected_rows.one_machine(selected_rows.one_axis(layout, options), options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
-    layout, guesses = rows_of.of_one_axis(layout, owners.of_axes(layout.columns, guesses, options.axis), options)
+    layout, guesses = selected_rows.of_one_axis(layout, owners.of_axes(layout.columns, guesses, options.axis), options)
     in_columns = wide.find(layout, guesses) is not None
     guesses = ambiguities.machine_positions(layout, guesses, options, in_columns)
     guesses = guessing.with_position_column(layout.columns, guessing.with_one_clock(guesses), options.axis)

@@ -31,7 +31,7 @@ MOST_OTHERS = 0.2  # share of the rows; above it the words are states of a progr
 _KEPT = ("time", "run", "group", "direction", "command", "position")
 
 
-def named(header: str) -> bool:
+def is_quality(header: str) -> bool:
     """Whether a column is named as a quality or a status."""
     return _NAMED.fullmatch(plain(header)) is not None
 
@@ -62,7 +62,7 @@ def blank(layout: Layout) -> None:
     """
     begin = 0
     for k, c in enumerate(layout.columns):
-        if not named(c.header):
+        if not is_quality(c.header):
             continue
         out = bad(c.cells, c.header)
         words = [plain(label(cell)) for cell in c.cells if cell not in (None, "")]

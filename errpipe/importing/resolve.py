@@ -227,7 +227,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     readings.continue_counts(p, options.resolution)
     readings.change_sign_of_readings(p)
     signs.ignore_corrections(p)
-    signs.change(p, layout, options)
+    signs.convert_errors(p, layout, options)
     readings.readings_as_errors(p, axis)
     readings.derive_error(p, axis, options, other_tests.names_a_grid_encoder(layout.above))
     speeds.units_by_positions(p)
@@ -237,7 +237,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     refuse_a_scale(p, layout.above)
     if not any(e["role"] == "error" for e in p.entries.values()):
         known = sorted(p.entries, key=lambda n: p.entries[n]["role"] == "ignore")
-        have = ", ".join(_found(p, n) for n in known[:MOST_NAMED])
+        have = ", ".join(_column_with_role(p, n) for n in known[:MOST_NAMED])
         have += f", and {len(p.entries) - MOST_NAMED} more" if len(p.entries) > MOST_NAMED else ""
         raise DataError(
             f"{NO_DEVIATION}, and no two contain an actual and a commanded position (found: {have}). "
@@ -315,7 +315,7 @@ def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptio
     )
 
 
-def _found(p: Proposal, name: str) -> str:
+def _column_with_role(p: Proposal, name: str) -> str:
     """A column with its role; an ignored one with the reason if it has numbers or a known name."""
     role, why = p.entries[name]["role"], p.guesses.get(name, "")
     header = next((h for h, n in p.names.items() if n == name), name) if name.startswith(role) else name

@@ -119,7 +119,7 @@ def compensated(above: list[str]) -> list[str]:
     ]
 
 
-def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+def convert_errors(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Convert every error column to actual minus commanded. Raises DataError if a stated sign is unknown.
 
     Priority: option, both positions, the column's header, the lines around the table.
@@ -244,7 +244,7 @@ def _is_on_the_sign(text: str) -> bool:
     return stated or what == "e" or words.kind_by_name(what) == "error" or _ON_THE_SIGN.search(text) is not None
 
 
-def _states_a_sign(line: str) -> bool:
+def _is_sign_statement(line: str) -> bool:
     return _only_names_both(line) or _is_on_the_sign(words.plain(line))
 
 
@@ -264,7 +264,7 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
             "Say --sign actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"
         )
     line = next((x for x in layout.below if _titles_corrections(x)), None)
-    line = line or next(filter(_states_a_sign, [*layout.above, *layout.below]), None)
+    line = line or next(filter(_is_sign_statement, [*layout.above, *layout.below]), None)
     if line is not None:
         raise DataError(
             f"a line states the sign as {line[:60]!r}, which is unknown: declare it with --sign "
@@ -291,7 +291,7 @@ def refuse_beside(p: Proposal, lines: Iterable[str], of: object) -> None:
         if _SIGNED.search(line) and not _READINGS_OR_SIGNS.search(words.plain(line)):
             continue  # `please sign in`
         stated = words.difference(line)
-        if stated[0] <= 0 if stated else _titles_corrections(line) or _states_a_sign(line):
+        if stated[0] <= 0 if stated else _titles_corrections(line) or _is_sign_statement(line):
             raise DataError(
                 f"{of} states {line.strip()[:60]!r}, and the table no sign: declare it with --sign "
                 "actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"

@@ -82,7 +82,7 @@ def read(options: ForceOptions, recording: Recording) -> PushTests:
     if options.gauge_datum == "bed" and {"spindle", "workpiece"} <= set(raw):
         raw["workpiece"] = raw["workpiece"] - raw["spindle"]
     run = recording.run_codes()
-    deviation = {part: _less_zero(pushes, value, run) for part, value in raw.items()}
+    deviation = {part: _minus_zero(pushes, value, run) for part, value in raw.items()}
     known = {part: np.zeros(len(force)) for part in raw}
     work = "workpiece" if WHOLE not in raw else WHOLE
     if options.pushed_workpiece is not None and work in known:
@@ -114,7 +114,7 @@ def _gauges(options: ForceOptions, recording: Recording) -> dict[str, str]:
     return {g: n for g in GAUGES for n, place in places.items() if place == g}
 
 
-def _less_zero(pushes: np.ndarray, value: np.ndarray, run: np.ndarray) -> np.ndarray:
+def _minus_zero(pushes: np.ndarray, value: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Readings minus the reading of each run at zero force, um (rows,)."""
     value = value.copy()
     design = np.column_stack([np.ones(len(value)), pushes])

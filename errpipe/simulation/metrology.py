@@ -117,7 +117,7 @@ def simulate_runs(
     rng = np.random.default_rng(seed)
     frames, constants = [], {"protocol": Constant(value=protocol)}
     for run in runs:
-        frames.append(_play(chain, values, run, rng, noise, setup, protocol))
+        frames.append(_simulated_rows(chain, values, run, rng, noise, setup, protocol))
         constants |= _constants(chain, run)
     frame = pd.concat(frames, ignore_index=True)
     columns = {"run": Column(role="run")}
@@ -135,7 +135,7 @@ def simulate_runs(
     return of_one_table(title, chain.machine.name, columns, frame, constants)
 
 
-def _play(chain, values, run: Run, rng, noise, setup, protocol) -> pd.DataFrame:
+def _simulated_rows(chain, values, run: Run, rng, noise, setup, protocol) -> pd.DataFrame:
     tip = chain.tip(run.length, run.offset)
     comps = components_at(chain, values, run.q)
     ideal = synthesis.ideal_pose(chain, run.q, tip)

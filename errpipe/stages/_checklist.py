@@ -72,7 +72,7 @@ def checklist(
         *target.by_hand(table, read, others),
         *_zero_shifts(target, read, table, others),
         *_one_turn(read, table),
-        *_from_the_start(read, table),
+        *_counted_from_start(read, table),
     )
     if happens := consequences(read, table):
         lines += ["## What will happen", "", *(f"- {text}." for text in happens), ""]
@@ -214,7 +214,7 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
     return [ByHand(text) for text in out]
 
 
-def _from_the_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
+def _counted_from_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
     """Remarks on what the table counts from its start: the zero to set, and what a file counts from a fixed reading."""
     if isinstance(read, WholeTable):
         sensors = _sample.sensors_of(table)

@@ -106,7 +106,7 @@ def _table_of(
         inputs=inputs,
         travel=_inputs.travel(placed),
         turning=_inputs.modulo_axes(placed),
-        limited=_inputs.limited(placed),
+        limited=_inputs.limited_rotary_axes(placed),
         error_bound=options.error_bound,
         position_cycle_s=options.position_cycle,
         thermal_cycle_s=options.thermal_cycle,

@@ -143,14 +143,14 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     max_count = min(MAX_COMPARED, (baseline.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
     if max_count < 2:
         return _one_by_one(baseline, held, "the table has too few free nodes for a comparison", scheme)
-    names = _chosen(baseline, held, max_count)
+    names = _most_effective(baseline, held, max_count)
     others = [n for n in sensors_read(baseline.plain, held) if n not in names]
     free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
     kept = tuple(others) if len(names) > 1 and len(others) * NODES_KEPT <= free else ()
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
-        guard, folds = _learnt(held, names, scheme, partial(learn.learn, others=kept) if kept else learn.learn)
+        guard, folds = _learn(held, names, scheme, partial(learn.learn, others=kept) if kept else learn.learn)
     except DataError as why:
         return _one_by_one(baseline, held, str(why), scheme)
     guard, accuracy = _with_substitutes(baseline, held, guard, folds)
@@ -173,7 +173,7 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     return TableGuard(guard, sentence, document)
 
 
-def _chosen(baseline: Baseline, held: Recording, max_count: int) -> tuple[str, ...]:
+def _most_effective(baseline: Baseline, held: Recording, max_count: int) -> tuple[str, ...]:
     """The `max_count` temperatures with the largest effect on the table, in the recording's order."""
     names = sensors_read(baseline.plain, held)
     predicted, run = baseline.predicted(baseline.plain, held), held.run_codes()
@@ -187,7 +187,7 @@ def _chosen(baseline: Baseline, held: Recording, max_count: int) -> tuple[str, .
     return tuple(n for n in names if n in ranked)
 
 
-def _learnt(
+def _learn(
     held: Recording, names: Sequence[str], scheme: str | None, by: Callable[..., SensorGuard]
 ) -> tuple[SensorGuard, list[Fold]]:
     """The guard of all rows, and (rows, guard without them) of each group left out. Raises DataError."""
@@ -224,7 +224,7 @@ def _with_substitutes(
     names, predicted = guard.names(), baseline.predicted(baseline.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
     for rows, own in folds:
-        for (i, j), shift in _shifts(own, held.take(rows)):
+        for (i, j), shift in _replacement_shifts(own, held.take(rows)):
             gone[i, j, rows] = shift
     x = {n: held.array(n) for n in names}
 
@@ -240,17 +240,19 @@ def _with_substitutes(
         baseline.is_useful(moved(i, j)) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
     )
     alone = learn.limits(held, names)  # for a sensor without replacement: a false alarm costs the whole correction
-    sensors = tuple(s if u else _alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True))
+    sensors = tuple(
+        s if u else _monitored_alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True)
+    )
     return guard.model_copy(update={"sensors": sensors, "most_failed": 2 if both else 1}), accuracy
 
 
-def _alone(sensor: GuardedSensor, limits: GuardedSensor) -> GuardedSensor:
+def _monitored_alone(sensor: GuardedSensor, limits: GuardedSensor) -> GuardedSensor:
     """A compared sensor whose estimate is too inaccurate, with the limits of one monitored individually."""
     rules = tuple(rule.not_below(sensor.rule(rule.rule)) for rule in limits.rules)
     return sensor.model_copy(update={"stands_in": False, "rules": rules})
 
 
-def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
+def _replacement_shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
     """(i, j) -> replacement of sensor i if j (itself: no other) fails, minus its healthy reading, K, (rows,)."""
     healthy = rows_of(held, guard.names())
     rise = healthy.rises()
@@ -275,7 +277,9 @@ def _cost(baseline: Baseline, held: Recording, guard: SensorGuard, folds: Sequen
     )
     own = baseline.cost(baseline.rms_difference(by_fold, predicted))
     for rows, fold in folds:
-        sensors = tuple(o if s.stands_in else _alone(o, s) for o, s in zip(fold.sensors, guard.sensors, strict=True))
+        sensors = tuple(
+            o if s.stands_in else _monitored_alone(o, s) for o, s in zip(fold.sensors, guard.sensors, strict=True)
+        )
         same = fold.model_copy(update={"sensors": sensors, "most_failed": guard.most_failed})
         group = held.take(rows)
         plain = baseline.predicted(baseline.plain, group)
@@ -303,9 +307,9 @@ def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | Non
     max_count = min(MAX_INDIVIDUAL, baseline.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
-    names = _chosen(baseline, held, max_count)
+    names = _most_effective(baseline, held, max_count)
     try:
-        guard, folds = _learnt(held, names, scheme, learn.limits)
+        guard, folds = _learn(held, names, scheme, learn.limits)
     except DataError as lacking:
         return no_guard(f"{why}; {lacking}")
     guard, cost = _affordable(baseline, held, guard, folds)

@@ -214,7 +214,7 @@ def modulo_axes(model: ErrorModel) -> set[str]:
     return {axis for axis, length in _stated_turns(model).items() if length >= TURN}
 
 
-def limited(model: ErrorModel) -> set[str]:
+def limited_rotary_axes(model: ErrorModel) -> set[str]:
     """Rotary axes with a stated travel of less than a turn; 0 to 359.999 deg is how a modulo axis is displayed."""
     return {axis for axis, length in _stated_turns(model).items() if length < TURN - DISPLAYED}
 

@@ -43,7 +43,7 @@ def solve(stage: Any, context: Context) -> Solved:
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
     if not single and (stage.lasers or stage.squares):
         raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
-    true = _truth(chain, context)
+    true = _simulated_machine(chain, context)
     if true is None:
         direct.refuse_unstated_places(chain, single, stage.lasers)
     seen, _ = readings.of_tests(chain, tests, stage.lasers, stage.squares)
@@ -73,7 +73,7 @@ def solve(stage: Any, context: Context) -> Solved:
     return Solved(chain, identified, document, tests, residual)
 
 
-def _truth(chain: Chain, context: Context) -> MachineErrors | None:
+def _simulated_machine(chain: Chain, context: Context) -> MachineErrors | None:
     """The simulated machine that every test was played on; None where something was measured, or machines differ."""
     folders = context.every("simulated")
     documents = [jsonfile.read(f / _artefacts.TRUTH) for f in folders.values()]
@@ -106,7 +106,7 @@ def page(solved: Solved, title: str) -> str:
     chain, identified, document = solved.chain, solved.found, solved.document
     errors = identified.errors()
     figures = [("The machine", machine_figures.machine_sketch(chain), _component_counts(chain))]
-    figures += _volume(solved, errors)
+    figures += _volumetric_figures(solved, errors)
     figures += [_component_figure(solved, errors)]
     for test in solved.tests.values():
         protocol = test.manifest.constants.get("protocol")
@@ -129,7 +129,7 @@ def _component_counts(chain: Chain) -> str:
     return f"Drawn from its chain; arrows show each part's own motion for +. {counts['total']} components: {listed}."
 
 
-def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]:
+def _volumetric_figures(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]:
     """Vectors and slices, before and after, in one scale."""
     chain, residual = solved.chain, solved.remaining
     q = residual_error.places(chain, 200)

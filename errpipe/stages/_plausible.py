@@ -97,10 +97,10 @@ def _largest(table: CompensationTable, axis: str) -> _LargestCorrection:
 def of_table(table: CompensationTable) -> list[str]:
     """One sentence for each axis that a table moves: where its correction is largest, and its direction."""
     largest = [sentence for axis in _sample.outputs_by_axis(table) if (sentence := _largest(table, axis).sentence)]
-    return [*_jumps(table), *largest, *not_measured(table)]
+    return [*_without_slew_limit(table), *largest, *not_measured(table)]
 
 
-def _jumps(table: CompensationTable) -> list[str]:
+def _without_slew_limit(table: CompensationTable) -> list[str]:
     """A sentence for outputs without a slew limit, which every table compiled by errpipe has."""
     free = ", ".join(o.name for o in table.outputs if o.slew is None)
     sentence = (

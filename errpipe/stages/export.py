@@ -68,7 +68,7 @@ class Export(CompileOptions, SignOptions, Stage):
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.domain.error_model import joined
-        from errpipe.stages import _plausible, _proof
+        from errpipe.stages import _plausible, _verification
 
         models = [_artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()]
         model = joined(models)
@@ -86,8 +86,8 @@ class Export(CompileOptions, SignOptions, Stage):
             model = model.model_copy(update={"title": chosen.title(model.title)})
             table = compile_model(model, self, chosen.guard, recording)
         context.progress(0.5, "comparing table and model")
-        proof = _proof.compare(table, model, recording, plain)
-        checks += _proof.remarks(proof, passed)
+        proof = _verification.compare(table, model, recording, plain)
+        checks += _verification.remarks(proof, passed)
         from errpipe.stages.targets import checksums
 
         files = _write(context, table, model, self)

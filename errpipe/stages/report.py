@@ -291,13 +291,13 @@ def _validity(model: Any) -> list[dict[str, Any]]:
             "input": f"{name} in {model.columns.get(name, {}).get('unit') or '1'}",
             "low": low,
             "high": high,
-            "outside": _outside(model, name),
+            "outside": _outside_validity(model, name),
         }
         for name, (low, high) in model.validity.ranges.items()
     ]
 
 
-def _outside(model: Any, name: str) -> str:
+def _outside_validity(model: Any, name: str) -> str:
     if not model.validity.fades:
         return "fades by design of the model, without a step"
     margin, unit = model.validity.margins.get(name), model.columns.get(name, {}).get("unit") or ""

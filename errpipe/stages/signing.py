@@ -150,7 +150,7 @@ def rollback(
     past = store.history(machine)
     if not past:
         raise UsageError(f"machine {machine} has no history in {registry}")
-    earlier = _before(past) if to is None else [e for e in past if e.number == to]
+    earlier = _earlier_entries(past) if to is None else [e for e in past if e.number == to]
     if not earlier:
         store.table(past[-1])  # a modified one is refused as such, for every request
         raise UsageError(f"machine {machine}: no earlier table to go back to (--to: entries 1 to {len(past)})")
@@ -165,7 +165,7 @@ def rollback(
     return _row(entry, store) | _with_remark(sentence, when)
 
 
-def _before(past: Sequence[Entry]) -> list[Entry]:
+def _earlier_entries(past: Sequence[Entry]) -> list[Entry]:
     """The entries of other tables below the one on record, as they would be gone back to.
 
     A promotion lies on top of what was on record. A rollback restores what was on record after the entry that it

@@ -55,7 +55,7 @@ def compare_targets(table: Path) -> dict[str, Any]:
     rows += [
         {"target": " + ".join(names), **loss} for names, lost in _best_combinations(compensation_table) for loss in lost
     ]
-    return {"comparison": rows, "says": [_line(row) for row in rows]}
+    return {"comparison": rows, "says": [_loss_line(row) for row in rows]}
 
 
 def target_combinations(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
@@ -87,14 +87,14 @@ def files_in_effect(table: CompensationTable, parts: Sequence[Any], *, entered: 
     files, read = write_together(kept, parts)
     if isinstance(read, WholeTable) or not entered:
         return read
-    return read + ReadBack(curves=_entered(kept, parts, files))
+    return read + ReadBack(curves=_entered_by_hand(kept, parts, files))
 
 
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
     best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
     for parts, lost in _combined_losses(table, target_combinations(TARGETS)):
-        size, names = _squares(lost), tuple(p.name for p in parts)
+        size, names = _sum_of_squares(lost), tuple(p.name for p in parts)
         family = min((names[0], *parts[0].goes_with))
         if family not in best or size < best[family][0]:
             best[family] = (size, names, lost)
@@ -110,7 +110,7 @@ def _combined_losses(
             yield parts, _loss_rows(table, write_together(table, parts)[1])
 
 
-def _squares(lost: Iterable[dict[str, Any]]) -> float:
+def _sum_of_squares(lost: Iterable[dict[str, Any]]) -> float:
     """Sum over the axes of squared rms losses, um2."""
     return sum(x["rms_um"] ** 2 for x in lost)
 
@@ -219,7 +219,7 @@ def _without_harm(
     files, read = write_together(table, parts)
     if isinstance(read, WholeTable):
         return table, files[0], []
-    read += ReadBack(curves=_entered(table, parts, files))
+    read += ReadBack(curves=_entered_by_hand(table, parts, files))
     harmed, names = _loss.harmed(table, read), " and ".join(sorted(p.name for p in parts))
     if not harmed:
         return table, files[0], [f"{names}: {sentence}" for sentence in _loss.worse_than_none(table, read)]
@@ -233,7 +233,9 @@ def _without_harm(
     return kept, first, [f"{sentence}; left out of them. To correct it, {ANOTHER_FORMAT}", *more]
 
 
-def _entered(table: CompensationTable, parts: Sequence[Any], files: Sequence[dict[str, str]]) -> tuple[Curve, ...]:
+def _entered_by_hand(
+    table: CompensationTable, parts: Sequence[Any], files: Sequence[dict[str, str]]
+) -> tuple[Curve, ...]:
     """What numbers entered by hand add to the files of parts that are loaded together."""
     return tuple(
         number.curve
@@ -250,10 +252,10 @@ def better_formats(table: CompensationTable, target: Any, lost: list[dict[str, A
         return ""
     best: tuple[float, str, str] | None = None
     for parts, lost_together in _combined_losses(table, (c for c in target_combinations(TARGETS) if target in c)):
-        size = _squares(lost_together)
+        size = _sum_of_squares(lost_together)
         if best is None or size < 0.9 * best[0]:
             best = size, ", ".join(o.name for o in parts if o is not target), in_words(lost_together)
-    if best is None or best[0] >= 0.25 * _squares(lost):  # not even half of it
+    if best is None or best[0] >= 0.25 * _sum_of_squares(lost):  # not even half of it
         return ""
     return f"{best[1]} can express what {target.name} cannot; with both as targets the loss is {best[2]}."
 
@@ -273,7 +275,7 @@ def _with_companions(table: CompensationTable, target: Any, others: Sequence[str
     """Which files must be loaded in addition, and the residual of all once the numbers are entered."""
     parts = [target, *chosen(others)]
     files, read = write_together(table, parts)
-    entered = _entered(table, parts, files)
+    entered = _entered_by_hand(table, parts, files)
     numbers = "Together, with the numbers entered by hand," if entered else "Together"
     return (
         f"Load the files of {target.name} only together with those of {', '.join(others)}, whose part they leave out. "
@@ -327,7 +329,7 @@ def in_words(lost: list[dict[str, Any]]) -> str:
     return words + (f" (besides constants, which setting the zero removes: {zeros})" if zeros else "")
 
 
-def _line(row: dict[str, Any]) -> str:
+def _loss_line(row: dict[str, Any]) -> str:
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
     unit = loss_unit(row["axis"])

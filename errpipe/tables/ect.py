@@ -180,7 +180,8 @@ def _build(data: bytes, fixed: Row, rows: dict[int, list[Row]]) -> t.Compensatio
             "nodes": [_node(n, r, rows[4], rows[5], inputs) for n, r in enumerate(rows[3])],
             "profiles": [_profile(n, r, rows[7], inputs) for n, r in enumerate(rows[6])],
             "components": [
-                {"name": c, "unit": _pick(lay.UNITS, r[1], "unit")} for c, r in zip(components, rows[8], strict=True)
+                {"name": c, "unit": _allowed_at(lay.UNITS, r[1], "unit")}
+                for c, r in zip(components, rows[8], strict=True)
             ],
             "pairs": [_pair(r, components) for r in rows[9]],
             "outputs": [_output(r, rows[11], components) for r in rows[10]],
@@ -193,7 +194,7 @@ def _input(row: Row, substitutes: list[Row], names: list[str]) -> dict[str, Any]
     low, high, max_rate, stale, hold, default, offset, valid_low, valid_high, margin, *noise = row[7:]
     return {
         "name": _text(name, "input name"),
-        "kind": _pick(lay.KINDS, kind, "input kind"),
+        "kind": _allowed_at(lay.KINDS, kind, "input kind"),
         "axis": _text(axis, "axis"),
         "unit": _text(unit, "unit"),
         "low": low,
@@ -202,7 +203,7 @@ def _input(row: Row, substitutes: list[Row], names: list[str]) -> dict[str, Any]
         "noise": noise[0] if noise else 0.0,
         "stale_after_s": stale if flags & lay.HAS_STALE else None,
         "substitute": [
-            {"input": _pick(names, s[0], "input"), "weight": s[1]}
+            {"input": _allowed_at(names, s[0], "input"), "weight": s[1]}
             for s in _slice(substitutes, first, count, "substitutes")
         ],
         "substitute_offset": offset,
@@ -226,7 +227,7 @@ def _node(number: int, row: Row, operands: list[Row], reals: list[Row], inputs: 
     if cls is t.AffineNode:
         out["weights"] = [o[1] for o in own]
     if cls is t.InputNode:
-        out["input"] = _pick(inputs, other, "input")
+        out["input"] = _allowed_at(inputs, other, "input")
     if cls is t.LagNode:
         out["start"] = "zero" if flags & lay.START_ZERO else "input"
     if cls is t.DirectionNode:
@@ -239,7 +240,7 @@ def _node(number: int, row: Row, operands: list[Row], reals: list[Row], inputs: 
 def _profile(number: int, row: Row, values: list[Row], inputs: list[str]) -> dict[str, Any]:
     source, flags, first, count, start, step, _, _, scale, interpolation, rounding = row
     return {
-        "input": None if source == -1 else _pick(inputs, source, f"input of profile {number}"),
+        "input": None if source == -1 else _allowed_at(inputs, source, f"input of profile {number}"),
         "start": start,
         "step": step,
         "scale": scale,
@@ -252,7 +253,7 @@ def _profile(number: int, row: Row, values: list[Row], inputs: list[str]) -> dic
 
 def _pair(row: Row, components: list[str]) -> dict[str, Any]:
     component, profile, driver, flags = row
-    name = _pick(components, component, "component")
+    name = _allowed_at(components, component, "component")
     return {"component": name, "profile": profile, "driver": driver, "keep": bool(flags & lay.KEEP)}
 
 
@@ -261,8 +262,8 @@ def _output(row: Row, terms: list[Row], components: list[str]) -> dict[str, Any]
     return {
         "name": _text(name, "output name"),
         "axis": _text(axis, "axis"),
-        "unit": _pick(lay.UNITS, units & 0xFF, "unit"),
-        "correction_unit": _pick(lay.CORRECTION_UNITS, units >> 8, "correction unit"),
+        "unit": _allowed_at(lay.UNITS, units & 0xFF, "unit"),
+        "correction_unit": _allowed_at(lay.CORRECTION_UNITS, units >> 8, "correction unit"),
         "magnitude": magnitude if flags & lay.HAS_MAGNITUDE else None,
         "slew": slew if flags & lay.HAS_SLEW else None,
         "acceleration": acceleration if flags & lay.HAS_ACCELERATION else None,
@@ -276,7 +277,7 @@ def _term(row: Row, components: list[str]) -> dict[str, Any]:
         raise VerifyError(f"a term has {count} factors (allowed: {t.MAX_FACTORS})")
     return {
         "weight": row[6],
-        "component": _pick(components, component, "component"),
+        "component": _allowed_at(components, component, "component"),
         "factors": list(row[2 : 2 + count]),
     }
 
@@ -288,7 +289,7 @@ def _text(raw: bytes, what: str) -> str:
         raise VerifyError(f"{what} is not UTF-8 text") from None
 
 
-def _pick(allowed: Any, number: int, what: str) -> Any:
+def _allowed_at(allowed: Any, number: int, what: str) -> Any:
     if not 0 <= number < len(allowed):
         raise VerifyError(f"{what} number {number} (allowed: 0..{len(allowed) - 1})")
     return allowed[number]
@@ -318,7 +319,7 @@ def first_problem(err: ValidationError) -> str:
     place = ".".join(str(p) for p in problem["loc"])
     message = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if problem["type"] == "extra_forbidden":
-        message = f"there is no such key.{_near(problem['loc'])}"
+        message = f"there is no such key.{_nearest_field(problem['loc'])}"
     elif problem["type"] == "missing":
         message = "this key is missing"
     elif isinstance(problem["input"], int | float | str) and "Value error" not in problem["msg"]:
@@ -326,7 +327,7 @@ def first_problem(err: ValidationError) -> str:
     return f"{place}: {message}" if place else message
 
 
-def _near(place: tuple[str | int, ...]) -> str:
+def _nearest_field(place: tuple[str | int, ...]) -> str:
     parts: dict[str, type[t.Part]] = {"inputs": t.TableInput, "profiles": t.Profile, "outputs": t.Output}
     part = parts.get(str(place[0]), t.CompensationTable) if len(place) > 1 else t.CompensationTable
     return did_you_mean(str(place[-1]), part.model_fields)

@@ -81,7 +81,7 @@ class Expansion:
                 candidates += _knots_of(table, names, low, high)
             self.knots[axis] = _within(candidates, low, high)
         for table in tables:
-            for channel in _bent_inputs(table, self.knots)[:MAX_CURVED_INPUTS]:
+            for channel in _curved_inputs(table, self.knots)[:MAX_CURVED_INPUTS]:
                 low, high = channel.valid or (channel.default, channel.default)
                 candidates = [np.linspace(low, high, BENT_KNOTS), *_knots_of(table, {channel.name}, low, high)]
                 self.knots[INPUT + channel.name] = _within(candidates, low, high)
@@ -239,14 +239,14 @@ class Expansion:
             u = sum(x.factor * x.curves.get(axis, 1.0) for x in of) + np.zeros_like(self.knots[axis])
             v = np.array([value(each) for each in u.tolist()])
             cells = list(zip(u.tolist(), u[1:].tolist(), v.tolist(), v[1:].tolist(), strict=False))
-            worst = max((max(map(abs, _off(value, bends, *cell))) for cell in cells), default=0.0)
+            worst = max((max(map(abs, _departure_from_line(value, bends, *cell))) for cell in cells), default=0.0)
             return [Term(1.0, {axis: v}), *self.remainder(worst)]
         low, high = span(of)
         if high <= low:
             return [Term(value(low))]
         first, last = value(low), value(high)
         slope = (last - first) / (high - low)
-        lowest, highest = _off(value, bends, low, high, first, last)
+        lowest, highest = _departure_from_line(value, bends, low, high, first, last)
         offset = first - slope * low + (lowest + highest) / 2
         return [Term(offset), *scaled(of, slope), *self.remainder((highest - lowest) / 2)]
 
@@ -268,7 +268,7 @@ def collected(terms: Terms) -> Terms:
     return [*plain.values(), *out]
 
 
-def _off(value, bends, low: float, high: float, first: float, last: float) -> tuple[float, float]:
+def _departure_from_line(value, bends, low: float, high: float, first: float, last: float) -> tuple[float, float]:
     """Lowest and highest value of a function beyond the straight line between two of its points."""
     if low > high:
         low, high, first, last = high, low, last, first
@@ -293,7 +293,7 @@ def _stationary(exponent: float) -> Callable[[float, float, float], np.ndarray]:
     return at
 
 
-def _bent_inputs(table: t.CompensationTable, axes: Mapping[str, np.ndarray]) -> list[t.TableInput]:
+def _curved_inputs(table: t.CompensationTable, axes: Mapping[str, np.ndarray]) -> list[t.TableInput]:
     """Inputs with a validity that stand in a driver or profile which is not straight in them; positions left out."""
     sources: list[set[str]] = []
     bent = {p.input for p in table.profiles}

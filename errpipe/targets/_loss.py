@@ -79,12 +79,12 @@ def _compared(table: CompensationTable, read: ReadBack) -> Iterator[tuple[str, M
     names, start = _sample.positions_of(table).values(), _sample.reference_readings(table)
     usual = {name: states[name] if name in names else np.full(STATES, v) for name, v in start.items()}
     for axis in _sample.outputs_by_axis(table):
-        (gap, want), (lost, level) = (_gap(table, read, axis, at, side) for at in (usual | states, usual))
+        (gap, want), (lost, level) = (_difference(table, read, axis, at, side) for at in (usual | states, usual))
         by_positions = np.allclose(want, level, atol=1e-6) and np.ptp(want) > 0.0 and not is_rotary(axis)
         yield axis, (gap, float(lost.mean())), (want, float(level.mean())), bool(by_positions)
 
 
-def _gap(
+def _difference(
     table: CompensationTable, read: ReadBack, axis: str, states: Mapping[str, np.ndarray], side: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Files minus table, and the table, um (deg/1000), in states of all inputs."""
@@ -104,7 +104,7 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
     side, worst = np.repeat([1.0, -1.0], STATES // 2), dict[str, tuple[float, str]]()
     ends = [(i.name, v) for i in table.inputs if i.kind == "sensor" and not i.optional for v in i.valid or ()]
     for axis, (sensor, reading) in product(_sample.outputs_by_axis(table), ends):
-        left, without = map(rms, _gap(table, read, axis, usual | {sensor: np.full(STATES, reading)}, side))
+        left, without = map(rms, _difference(table, read, axis, usual | {sensor: np.full(STATES, reading)}, side))
         if left - without > max(MUCH * without + LITTLE, worst.get(axis, (0.0, ""))[0]):
             where = f"worse than without these files where {sensor} = {reading:.4g} degC"
             figures = f"{left:.3g} instead of {without:.3g} {loss_unit(axis)} rms"

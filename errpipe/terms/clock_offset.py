@@ -11,8 +11,8 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.drivers.simulated import DelayDifference
 from errpipe.terms._base import NEVER, Parameter, Term
-from errpipe.terms._late import shift_of
 from errpipe.terms._search import Delays, Signals, resolved_times
+from errpipe.terms._time_shift import shift_of
 from errpipe.yamlfile import quantity
 
 # Usual differences of clocks, from so many sampling intervals and s on: shorter ones are mostly dead times (to 20 ms).

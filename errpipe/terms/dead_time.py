@@ -13,9 +13,9 @@ from errpipe.drivers.motion import path_name
 from errpipe.drivers.simulated import DelayDifference
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, typical_example
-from errpipe.terms._late import shift_of
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Delays, Estimates, Signals, resolved_times
+from errpipe.terms._time_shift import shift_of
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; what comes late in slower logs has another clock: see `clock_offset`
 MIN_STEPS, MAX_STEPS = 0.02, 60.0  # sampling steps

@@ -170,7 +170,7 @@ def _with_neighbours(rows: np.ndarray, n: int) -> np.ndarray:
 def steps(values: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows that are read, and the step before each of them, shapes (k,)."""
     finite = np.flatnonzero(np.isfinite(values))
-    return finite, _missed(_running(t)[finite], values[finite], LINES[0], _going(t[finite]))[0]
+    return finite, _line_mismatch(_running_clock(t)[finite], values[finite], LINES[0], _without_pause(t[finite]))[0]
 
 
 def step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int, ratio: float = MAX_STEP_RATIO) -> float:
@@ -194,7 +194,9 @@ def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> n
     if ("others", sensor, first, last) not in recording.derived:
         good = np.isfinite(read)
         good[first : last + 1] = False
-        recording.derived["others", sensor, first, last] = _together(recording.derived["others", sensor], read, good)
+        recording.derived["others", sensor, first, last] = _regression_on_others(
+            recording.derived["others", sensor], read, good
+        )
     size, weights = recording.derived["others", sensor, first, last]
     if not weights.size:
         return read
@@ -205,7 +207,7 @@ def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> n
     return drawn + np.interp(np.arange(len(read)), [*missed], [*missed.values()]) if missed else drawn
 
 
-def _together(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndarray:
+def _regression_on_others(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndarray:
     """Sizes of the columns of other sensors, (rows, k), and their weights in a reading on good rows, shape (2, k).
 
     Shape (2, 0) where these rows are too few.
@@ -320,8 +322,8 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     """Rows from which a reading is off at once, the surest, and by how much: straight lines through the readings on
     either side miss each other halfway between them. Zero next to unusable rows and pauses, ranked last: bodies cool.
     """
-    going = _going(t)
-    (step, short), (_, long) = (_missed(_running(t), filled, k, going) for k in LINES)
+    going = _without_pause(t)
+    (step, short), (_, long) = (_line_mismatch(_running_clock(t), filled, k, going) for k in LINES)
     sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # residual of the long lines where the reading bends
     ahead = np.where(going, sure, 0.0)  # a jump at a pause hides none beside it
     highest = np.lib.stride_tricks.sliding_window_view(np.pad(ahead, LINES[0] // 2), LINES[0] + 1).max(axis=1)
@@ -331,13 +333,13 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     return {int(row): float(np.abs(step[row]) * plain[row]) for row in rows[first]}
 
 
-def _going(t: np.ndarray) -> np.ndarray:
+def _without_pause(t: np.ndarray) -> np.ndarray:
     """Is there no pause before a row, in which bodies cool or heat? Shape (rows,)."""
     pause = np.diff(t)
     return np.r_[True, (pause > 0) & (pause <= 2.0 * _longer_neighbour(pause))]
 
 
-def _running(t: np.ndarray) -> np.ndarray:
+def _running_clock(t: np.ndarray) -> np.ndarray:
     """A clock that stops in pauses and does not restart with each run, shape (rows,)."""
     pause = np.diff(t)
     going = np.where(pause > 0, pause, np.median(pause[pause > 0]) if (pause > 0).any() else 1.0)
@@ -349,7 +351,7 @@ def _longer_neighbour(pause: np.ndarray) -> np.ndarray:
     return np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
 
 
-def _missed(clock: np.ndarray, read: np.ndarray, k: int, going: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _line_mismatch(clock: np.ndarray, read: np.ndarray, k: int, going: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """By how much lines through k readings on either side miss each other before each row, also in standard errors.
 
     Shapes (rows,), nought where there are fewer readings on a side. Rows after a pause (not going) are joined to those
@@ -376,7 +378,7 @@ def _missed(clock: np.ndarray, read: np.ndarray, k: int, going: np.ndarray) -> t
     sure[inside] = np.abs(step[inside]) / np.sqrt(noise * leverage)
     if going.all():
         return step, sure
-    joined = _missed(clock, read - np.cumsum(np.where(going, 0.0, step)), k, np.ones(n, dtype=bool))
+    joined = _line_mismatch(clock, read - np.cumsum(np.where(going, 0.0, step)), k, np.ones(n, dtype=bool))
     return np.where(going, joined[0], step), np.where(going, joined[1], sure)
 
 

@@ -200,18 +200,22 @@ def causes(
     out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in placed.bodies]
     state = running(recording, placed, rows)
     if state is not None:
-        friction = oil(placed, thinning)
+        friction = oil_friction(placed, thinning)
         out += [
-            Cause(f"rise of {n} while running, {tau / 60:.0f} min late", "running", _late(state, n, tau, friction))
+            Cause(
+                f"rise of {n} while running, {tau / 60:.0f} min late",
+                "running",
+                _lagged_product(state, n, tau, friction),
+            )
             for n in placed.bodies
             for tau in late
         ]
     if placed.room is not None:
         out += [
             Cause(
-                f"part that starts as {n}{_towards(mix, placed.room)} and follows {placed.room}, {tau / 3600:.3g} h",
+                f"part that starts as {n}{_mix_text(mix, placed.room)} and follows {placed.room}, {tau / 3600:.3g} h",
                 "follower",
-                follower(placed.room, n, tau, mix),
+                room_lag(placed.room, n, tau, mix),
                 f"{n} {mix:g}",
             )
             for n in placed.starts
@@ -221,11 +225,11 @@ def causes(
     return tuple(out)
 
 
-def _towards(mix: float, room: str) -> str:
+def _mix_text(mix: float, room: str) -> str:
     return f" {100 * mix:.0f} % towards {room}" if mix else ""
 
 
-def oil(sensors: Sensors, thinning: float) -> d.Driver | None:
+def oil_friction(sensors: Sensors, thinning: float) -> d.Driver | None:
     """Friction of an oil at the machine's temperature at the start of the run, 1 at 20 degC; None if constant."""
     if thinning == 0.0:
         return None
@@ -236,7 +240,7 @@ def oil(sensors: Sensors, thinning: float) -> d.Driver | None:
     return d.Lookup(of=level, start=float(grid[0]), step=float(grid[1] - grid[0]), values=values)
 
 
-def follower(room: str, start: str, tau: float, mix: float = 0.0) -> d.Lag:
+def room_lag(room: str, start: str, tau: float, mix: float = 0.0) -> d.Lag:
     """Rise since the start of the run of a part that follows the room, K.
 
     It starts at the temperature of `start`, or the share `mix` of the way from there to the room's.
@@ -254,7 +258,7 @@ def lagged_difference(one: str, other: str, tau: float) -> d.Lag:
     return d.lag(gap, tau)
 
 
-def _late(state: d.Driver, name: str, tau: float, friction: d.Driver | None) -> d.Lag:
+def _lagged_product(state: d.Driver, name: str, tau: float, friction: d.Driver | None) -> d.Lag:
     factors = (state, d.rise(name)) if friction is None else (state, friction, d.rise(name))
     return d.lag(d.Product(of=factors), tau)
 

@@ -163,8 +163,8 @@ def compete(
     """The mixture of entrants. response: um, (rows,); rows: mask of usable rows; group: run of each row.
 
     ahead: groups are consecutive blocks of one run, between which a fit interpolates: the choice is then made on
-    stretches that extrapolate (`_ahead`). one_environment: all rows are of one season, so that entrants without
-    possible signs compete only if those with them are already worse there (`PHYSICAL_REGRET`).
+    stretches that extrapolate (`_within_run_predictions`). one_environment: all rows are of one season, so that
+    entrants without possible signs compete only if those with them are already worse there (`PHYSICAL_REGRET`).
 
     Raises DataError if no group can be held out.
     """
@@ -179,7 +179,7 @@ def compete(
     judged = {name: _HeldOutPredictions(p, response, rows, group) for name, p in left_out.items()}
     chooser = judged[RUN] if RUN in judged else next(iter(judged.values()))
     if ahead:
-        chooser = _ahead(entrants, groups, response, rows, group)
+        chooser = _within_run_predictions(entrants, groups, response, rows, group)
     left_by = chooser.mean_square()
     score = np.where(_admitted(judged, {w.name for w in ways if w.decides}), left_by, np.inf)
     if one_environment:
@@ -199,7 +199,7 @@ def compete(
     left = {way: {name: judge.rms(w) for name, w in named.items()} for way, judge in judged.items()}
     by_group = {w.name: _by_label(w, judged[w.name], named, group) for w in ways if w.labels and w.name in judged}
     mixed = chooser.by_group(weights)
-    chance = {name: _chance(chooser.by_group(w) - mixed) for name, w in named.items() if name != MIXTURE}
+    chance = {name: _p_value(chooser.by_group(w) - mixed) for name, w in named.items() if name != MIXTURE}
     predictions = {name: judge.mixture(weights) for name, judge in judged.items()}
     apart = next(iter(judged.values())).predicted[admitted].var(axis=0) if admitted else np.zeros(rows.size)
     rivals = tuple(entrants[k] for k in admitted)
@@ -274,7 +274,7 @@ def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Hel
     if not np.isfinite(signed).any():
         return score
     ahead, best = judged.by_group({int(np.argmin(score)): 1.0}), judged.by_group({int(np.argmin(signed)): 1.0})
-    behind = signed.min() > PHYSICAL_REGRET**2 * score.min() and _chance(best - ahead) < PHYSICAL_LEVEL
+    behind = signed.min() > PHYSICAL_REGRET**2 * score.min() and _p_value(best - ahead) < PHYSICAL_LEVEL
     return score if behind else signed
 
 
@@ -284,7 +284,7 @@ def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _HeldOutPredictions
     return {k: 1.0 for k, e in enumerate(entrants) if e.plain and left[k] <= PLAIN_REGRET**2 * left.min()}
 
 
-def _ahead(
+def _within_run_predictions(
     entrants: Sequence[Entrant], groups: Groups, response: np.ndarray, rows: np.ndarray, group: np.ndarray
 ) -> _HeldOutPredictions:
     """Predictions by every stretch from either end of a run, of at least half of its blocks, of the remaining blocks.
@@ -323,7 +323,7 @@ def _stacked(ranked: Sequence[int], judged: _HeldOutPredictions) -> dict[int, fl
     if not kept:
         return {}
     part, whole = _weights(kept, judged), _weights(kept, judged, whole=True)
-    chosen = part if (_chance(judged.by_group(whole) - judged.by_group(part)) < LEVEL) else whole
+    chosen = part if (_p_value(judged.by_group(whole) - judged.by_group(part)) < LEVEL) else whole
     return {k: w for k, w in chosen.items() if w > 0.0}
 
 
@@ -340,7 +340,7 @@ def _weights(kept: Sequence[int], judged: _HeldOutPredictions, whole: bool = Fal
     return dict(zip(kept, map(float, weights), strict=True))
 
 
-def _chance(gained: np.ndarray) -> float:
+def _p_value(gained: np.ndarray) -> float:
     """p of a paired t test, one-sided, of improvements in mean square, one per run."""
     if gained.mean() <= 0.0:
         return 1.0

@@ -173,13 +173,13 @@ def draw(old: Compensation, new: Compensation, seed: int = 1) -> States:
     for name in sorted(roles):
         spans = [c.ranges[name] for c in (old, new) if name in c.ranges]
         low, high = min(s[0] for s in spans), max(s[1] for s in spans)
-        state, before = (_drawn(rng, roles[name], low, high) for _ in range(2))
+        state, before = (_random_values(rng, roles[name], low, high) for _ in range(2))
         first = before if roles[name] in MOVING else np.full(STATES, (low + high) / 2)
         readings[name] = np.column_stack([first, *[state] * (AFTER.size - 1)]).ravel()
     return States(readings, np.tile(AFTER, STATES), np.repeat(np.arange(STATES), AFTER.size))
 
 
-def _drawn(rng: np.random.Generator, role: str, low: float, high: float) -> np.ndarray:
+def _random_values(rng: np.random.Generator, role: str, low: float, high: float) -> np.ndarray:
     if role == "direction":
         return np.where(rng.random(STATES) < 0.5, 1.0, -1.0)
     ends, inside = rng.random(STATES), rng.uniform(low, high, STATES)
@@ -191,13 +191,13 @@ def _drawn(rng: np.random.Generator, role: str, low: float, high: float) -> np.n
 def compare(old: Compensation, new: Compensation, seed: int = 1) -> list[Change]:
     """One change per response of either; a response missing in one is zero there."""
     states = draw(old, new, seed)
-    before, after = (_asked(c, states, old.relative or new.relative) for c in (old, new))
+    before, after = (_values_at(c, states, old.relative or new.relative) for c in (old, new))
     units = {**old.units, **new.units}
     zero = np.zeros(states.run.size)
     return [_change(name, units[name], states, before.get(name, zero), after.get(name, zero)) for name in units]
 
 
-def _asked(of: Compensation, states: States, relative: bool) -> Mapping[str, np.ndarray]:
+def _values_at(of: Compensation, states: States, relative: bool) -> Mapping[str, np.ndarray]:
     values = of.values(states)
     if not relative or of.relative:
         return values
@@ -210,7 +210,7 @@ def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.
     if difference.size == 0:
         return Change(component, unit, 0.0, 0.0, {}, 0.0, 0.0, "", 0.0, ())
     worst = int(judged[np.argmax(np.abs(difference))])
-    name, share, bins = _goes_with({n: v[judged] for n, v in states.readings.items()}, difference)
+    name, share, bins = _best_correlated_input({n: v[judged] for n, v in states.readings.items()}, difference)
     at = {n: float(v[worst]) for n, v in states.readings.items()}
     at["seconds after a step"] = float(states.time[worst])
     uniform = difference[judged < STATES // 2 * AFTER.size]
@@ -221,7 +221,7 @@ def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.
     return Change(component, unit, largest, rms, at, *values, name, share, bins, settled)
 
 
-def _goes_with(readings: Mapping[str, np.ndarray], gap: np.ndarray) -> tuple[str, float, Bins]:
+def _best_correlated_input(readings: Mapping[str, np.ndarray], gap: np.ndarray) -> tuple[str, float, Bins]:
     """The input with the largest correlation ratio (Pearson 1905) to the difference, and the difference over it."""
     best: tuple[str, float, Bins] = ("", -1.0, ())
     total = float(np.var(gap))
@@ -277,7 +277,7 @@ def of_rows(old: Recording, new: Recording, name: str) -> Change:
     readings = _readings_of(old, before, labels)
     gap = (b - a)[judged]
     worst, largest = int(judged[np.argmax(np.abs(gap))]), float(np.abs(gap).max())
-    goes_with = _goes_with({n: v[judged] for n, v in readings.items()}, gap)
+    goes_with = _best_correlated_input({n: v[judged] for n, v in readings.items()}, gap)
     at = {n: float(v[worst]) for n, v in readings.items()}
     rms = float(np.sqrt(np.mean(gap**2)))
     return Change(name, unit, largest, rms, at, float(a[worst]), float(b[worst]), *goes_with, settled=largest)

@@ -35,7 +35,7 @@ def shifted_runs(recording: Recording, folds: Sequence[HeldOut]) -> list[dict[st
         (recording.run_labels()[code], curve)
         for fold in folds
         for code in np.unique(run[fold.rows])
-        if (curve := _left(t, fold, np.flatnonzero(run[fold.rows] == code))) is not None
+        if (curve := _scatter_left(t, fold, np.flatnonzero(run[fold.rows] == code))) is not None
     ]
     if len(curves) < 2 or np.median([curve.min() for _, curve in curves]) > EXPLAINED:
         return []
@@ -51,7 +51,7 @@ def shifted_runs(recording: Recording, folds: Sequence[HeldOut]) -> list[dict[st
     return found
 
 
-def _left(t: np.ndarray, fold: HeldOut, own: np.ndarray) -> np.ndarray | None:
+def _scatter_left(t: np.ndarray, fold: HeldOut, own: np.ndarray) -> np.ndarray | None:
     """Scatter that a shifted prediction leaves of one run, share of the deviation's, (shifts,); None if too short."""
     own = own[np.argsort(t[fold.rows[own]], kind="stable")]
     at, y = t[fold.rows[own]], fold.before[own]

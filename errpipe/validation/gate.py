@@ -35,7 +35,7 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Ga
     for component in model.components:
         figures = [c for v in validations for c in v["components"] if c["component"] == component.component]
         gain = min((c["gain"] for c in figures), default=0.0)
-        judged += [_brief(c) for c in figures]
+        judged += [_summary(c) for c in figures]
         if gain > 0.0:
             kept.append(_at_gain(component, gain, figures))
         else:
@@ -85,7 +85,7 @@ def _at_gain(component: ComponentModel, gain: float, figures: Sequence[Mapping[s
     return component.model_copy(update=update)
 
 
-def _brief(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _summary(figures: Mapping[str, Any]) -> dict[str, Any]:
     names = ("component", "unit", "gain", "rms_before", "rms_after", "rms_at_gain", "p_value", "runs")
     return {name: figures[name] for name in names}
 

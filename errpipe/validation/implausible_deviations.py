@@ -150,7 +150,7 @@ def mixed_units(r: Response) -> Finding | None:
         middle = float(np.median(size)) if labels.size > 2 else float(size.min())
         for label, ratio in zip(labels, size / middle if middle > 0 else size * 0, strict=True):
             for factor in (25.4, 1000.0, 1 / 25.4, 1e-3):
-                if 0.4 < ratio / factor < 2.5 and _alike(r, key, label):
+                if 0.4 < ratio / factor < 2.5 and _has_shape_of_others(r, key, label):
                     larger = f"is {ratio:.4g} times as large as the others, with the same shape"
                     meant = "another unit there (25.4: inch and mm; 1000: mm and um)"
                     return Finding("mixed-units", r.column, f"{what} {r.label_of(what, label)} {larger}", meant)
@@ -234,7 +234,7 @@ def worse_with_compensation(r: Response) -> Finding | None:
             evidence = f"{what} {after:.3g} {r.component.unit} rms, without it {before:.3g}"
             meant = "the other sign, here or in the parameter of the controller"
             return Finding("worse-with-compensation", r.column, evidence, meant)
-        turned = _of_the_other(r, on, off)
+        turned = _slope_ratio(r, on, off)
         if turned is not None and abs(turned + 1.0) < OVER:
             evidence = f"{what} {turned:.2f} times that without it"
             meant = "an error declared twice as large as it is (a radius for a diameter, a double pass of a laser)"
@@ -245,7 +245,7 @@ def worse_with_compensation(r: Response) -> Finding | None:
 OVER = 0.15  # tolerance about -1, the residual if twice the error was compensated
 
 
-def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
+def _slope_ratio(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
     """Slope of the mean curve with a compensation over that without it; None if their shapes differ."""
     place = r.cells()
     shared = np.intersect1d(place[on], place[off])
@@ -360,7 +360,7 @@ def _regular(values: np.ndarray) -> bool:
     return float(np.ptp(steps)) < 0.05 * float(steps.mean())
 
 
-def _alike(r: Response, key: np.ndarray, label: float) -> bool:
+def _has_shape_of_others(r: Response, key: np.ndarray, label: float) -> bool:
     """Whether one group's curve over position has the shape of the others'."""
     in_group, outside_group = key == label, key != label
     levels = np.round(np.asarray(r.position), 3)

@@ -84,11 +84,11 @@ def figures(recording: Recording, axis: str | None = None, component: str | None
         "unit": components.unit(component),
         "targets": tuple(targets.tolist()),
         "cycles": cycles,
-        "notes": (*_notes(targets, cycles), *_warmed(recording)),
+        "notes": (*_notes(targets, cycles), *_thermal_states_note(recording)),
     }
     facts |= {NAMES[d]: direction for d, direction in directions.items()}
     if len(directions) == 2:
-        facts |= _both(directions[1], directions[-1])
+        facts |= _both_directions(directions[1], directions[-1])
     return Report(**facts)
 
 
@@ -153,7 +153,7 @@ def _one_direction(targets: np.ndarray, readings: list[np.ndarray], component: s
     )
 
 
-def _both(up: Direction, down: Direction) -> dict[str, Any]:
+def _both_directions(up: Direction, down: Direction) -> dict[str, Any]:
     mean_up, mean_down, s_up, s_down = (np.array(v) for v in (up.mean, down.mean, up.s, down.s))
     reversal = mean_up - mean_down
     spread = np.max([2 * s_up + 2 * s_down + np.abs(reversal), 4 * s_up, 4 * s_down], axis=0)
@@ -185,7 +185,7 @@ def _notes(targets: np.ndarray, cycles: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _warmed(recording: Recording) -> list[str]:
+def _thermal_states_note(recording: Recording) -> list[str]:
     """A note if the runs were made in several thermal states, whose spread then counts as repeatability."""
     run, names = recording.run_codes(), recording.names("temperature")
     medians = {

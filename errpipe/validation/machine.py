@@ -163,9 +163,9 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     for name, figures in ({"the machine": volumetric} | kept).items():
         required = MIN_IMPROVEMENT if name in kept else MIN_EXPECTED_IMPROVEMENT
         if figures["probability_worse"] > MAX_HARM_PROBABILITY:
-            wrong.append(_harmful(name, figures))
+            wrong.append(_harm_sentence(name, figures))
         elif kept and figures["left_rms_um"] > (1.0 - required) * figures["before_rms_um"]:
-            wrong.append(_hardly_better(name, figures, required))
+            wrong.append(_small_gain_sentence(name, figures, required))
     for test, figures in (item for validation in validations for item in _records_together(validation).items()):
         parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}
         wrong += [
@@ -204,7 +204,7 @@ def _sum(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return _pair([float(np.sqrt(sum(part[f"rms_{k}"] ** 2 for part in parts))) for k in ("before", "after")])
 
 
-def _harmful(name: str, figures: Mapping[str, float]) -> str:
+def _harm_sentence(name: str, figures: Mapping[str, float]) -> str:
     return (
         f"{name}: identified {figures['effect_rms_um']:.3g} um rms over the travel, "
         f"{figures['left_rms_um']:.3g} left open; worse with it than without with a probability of "
@@ -212,7 +212,7 @@ def _harmful(name: str, figures: Mapping[str, float]) -> str:
     )
 
 
-def _hardly_better(name: str, figures: Mapping[str, float], required: float) -> str:
+def _small_gain_sentence(name: str, figures: Mapping[str, float], required: float) -> str:
     return (
         f"{name}: expected {figures['before_rms_um']:.3g} um rms without the table and {figures['left_rms_um']:.3g} "
         f"with it (required: {required:.0%} less): the tests observe too little"

@@ -56,7 +56,7 @@ class Parts(Source):
         """What a function of a source and further arguments gives for each part, in their order."""
         at = np.cumsum([0, *(part.rows for part in self.found)]).tolist()
         common = (self.ends, self.complete, self.changes, function, arguments)
-        return self.passes(_passed, [(d, a, *common) for d, a in zip(self.digests, at, strict=False)])
+        return self.passes(_call_on_part, [(d, a, *common) for d, a in zip(self.digests, at, strict=False)])
 
     def mapped(self, change: Callable[[Source], Source]) -> Source:
         """The source with a change to each part."""
@@ -66,7 +66,7 @@ class Parts(Source):
 # ---------------------------------------------------------------- on a worker
 
 
-def _attempted(function: Callable[..., Any], task: Task, stage: str, *arguments: Any) -> tuple[str, Any]:
+def _try_on_part(function: Callable[..., Any], task: Task, stage: str, *arguments: Any) -> tuple[str, Any]:
     """(why it failed, or "", and the result) of a function of one part."""
     try:
         return "", function(task, stage, *arguments)
@@ -78,7 +78,7 @@ def _attempted(function: Callable[..., Any], task: Task, stage: str, *arguments:
         return "out of memory", None
 
 
-def _unread(task: Task, stage: str) -> str:
+def _unseen_inputs(task: Task, stage: str) -> str:
     """Which inputs of a part cannot be seen from here; "" if all can."""
     try:
         spec = load_pipeline(Path(task[0]), STAGES, sets=task[2])
@@ -96,20 +96,20 @@ def _cleaned(task: Task, stage: str) -> tuple[Path, str]:
     return folder / stage, read_lock(folder)[stage].outputs[manifest_folder.TABLE]
 
 
-def _found(task: Task, stage: str) -> tuple[Source, str]:
+def _survey(task: Task, stage: str) -> tuple[Source, str]:
     """What the recording of a part states of all its rows, and their SHA-256."""
     folder, digest = _cleaned(task, stage)
     source = _artefacts.source_in(folder)
     if source is None:
         raise DataError(f"stage {stage} left no {manifest_folder.TABLE}")
-    return replace(source, batches=_nothing), digest
+    return replace(source, batches=_refuse_reading), digest
 
 
-def _nothing(*_: Any, **__: Any) -> Any:
+def _refuse_reading(*_: Any, **__: Any) -> Any:
     raise TypeError("a part is read by its worker")
 
 
-def _passed(task: Task, stage: str, digest: str, at: int, ends: Any, complete: Any, changes: Any, function: Any,
+def _call_on_part(task: Task, stage: str, digest: str, at: int, ends: Any, complete: Any, changes: Any, function: Any,
             arguments: Any) -> Any:  # fmt: skip
     """A function of a part. The part is cleaned first where another worker has done it before, whose disk is gone."""
     folder = Path(task[3]) / MACHINES / task[1]
@@ -138,7 +138,7 @@ def in_processes(tasks: Sequence[Task], stage: str, jobs: int) -> Map:
             pool_of = (jobs or None, fleet_processes.start_imports(), fleet_processes.prepare, (dict(os.environ),))
             missing = [k for k in range(len(tasks)) if k not in results]
             with suppress(BrokenProcessPool), ProcessPoolExecutor(*pool_of) as pool:
-                running = {k: pool.submit(_attempted, function, tasks[k], stage, *arguments[k]) for k in missing}
+                running = {k: pool.submit(_try_on_part, function, tasks[k], stage, *arguments[k]) for k in missing}
                 for k, future in running.items():
                     results[k] = future.result()
         return [results.get(k, (KILLED, None)) for k in range(len(tasks))]
@@ -155,7 +155,7 @@ def on_cluster(tasks: Sequence[Task], stage: str, client: Any) -> Map:
     def places(k: int, patience: float) -> set[str]:
         end = time.monotonic() + patience
         while True:
-            seen = client.run(_unread, tasks[k], stage, on_error="ignore")
+            seen = client.run(_unseen_inputs, tasks[k], stage, on_error="ignore")
             found = {address for address, why in seen.items() if why == ""}
             if found:
                 return found
@@ -169,7 +169,7 @@ def on_cluster(tasks: Sequence[Task], stage: str, client: Any) -> Map:
 
         def submit(k: int, patience: float = 0.0) -> tuple[Any, int, set[str]]:
             at, call = places(k, patience), (function, tasks[k], stage, *arguments[k])
-            return client.submit(_attempted, *call, pure=False, workers=sorted(at), retries=ATTEMPTS - 1), k, at
+            return client.submit(_try_on_part, *call, pure=False, workers=sorted(at), retries=ATTEMPTS - 1), k, at
 
         results: dict[int, tuple[str, Any]] = {}
         running = [submit(k) for k in range(len(tasks))]
@@ -221,7 +221,7 @@ def fit_together(
         return [value for _, value in done]
 
     progress(0.1, f"{stage} of {len(tasks)} parts")
-    source = _together(passes(_found, [()] * len(tasks)), [task[1] for task in tasks], passes)
+    source = _joined(passes(_survey, [()] * len(tasks)), [task[1] for task in tasks], passes)
     validates = [s for s in spec.stages if isinstance(s, Validate)]
     results: list[tuple[FitStage, Family, Fitted, list[tuple[Validate, Any]]]] = []
     for fit in fits:
@@ -269,7 +269,7 @@ def _context(folder: Path, inputs: str, title: str) -> Context:
     return Context(folder, inputs, title)
 
 
-def _together(parts: Sequence[tuple[Source, str]], names: Sequence[str], passes: Callable[..., list[Any]]) -> Parts:
+def _joined(parts: Sequence[tuple[Source, str]], names: Sequence[str], passes: Callable[..., list[Any]]) -> Parts:
     """All parts as one. Raises DataError where their columns differ, or a run has rows in two of them."""
     found, digests = zip(*parts, strict=True)
     first, runs = found[0].manifest, dict[str, int]()
@@ -287,4 +287,4 @@ def _together(parts: Sequence[tuple[Source, str]], names: Sequence[str], passes:
     ends = {n: [v.min(), v.max()] if len(v) else [np.nan, np.nan] for n, v in values.items()}
     whole = Recording(first, pd.DataFrame(ends))
     rows = sum(part.rows for part in found)
-    return Parts(rows, whole, _nothing, complete, runs if known else None, 0, passes, found, digests)
+    return Parts(rows, whole, _refuse_reading, complete, runs if known else None, 0, passes, found, digests)

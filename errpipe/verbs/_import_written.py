@@ -56,12 +56,12 @@ def write(
         "rows": proposal.rows,
         "says": [
             f"{Path(folder) / manifest_folder.MANIFEST}: {proposal.rows} rows, {len(proposal.entries)} columns",
-            _next(proposal, folder),
+            _next_step(proposal, folder),
         ],
     }
 
 
-def _next(proposal: Proposal, folder: Path) -> str:
+def _next_step(proposal: Proposal, folder: Path) -> str:
     """What to do with the recording: the template for what it holds, or the stage that reads its test."""
     test = proposal.facts.get("protocol")
     if test is not None and test not in ("hole_pattern", "ball_plate"):

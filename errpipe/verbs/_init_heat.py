@@ -54,10 +54,10 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     lines = text.splitlines()
     candidates = [line for line in lines if WARM in line]
     cleaned = None
-    if candidates and recording is not None and moving(recording):
+    if candidates and recording is not None and changing_temperatures(recording):
         with suppress(DataError):  # no candidate is a sensor that cleaning excludes
             cleaned = clean(recording)[0]
-    sensors = moving(cleaned) if cleaned is not None else []
+    sensors = changing_temperatures(cleaned) if cleaned is not None else []
     filled = [line.replace(WARM, scalar(name)) for line in candidates for name in sensors]
     steps: list[tuple[int, ...]] = [(k,) for k in range(len(filled))]
     steps += [tuple(range(k, len(filled), len(sensors))) for k in range(len(sensors))]  # all terms of one sensor
@@ -91,7 +91,7 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + text, written(heat.terms)), [why]
 
 
-def moving(recording: Recording) -> list[str]:
+def changing_temperatures(recording: Recording) -> list[str]:
     """Temperatures whose medians of runs differ by more than MIN_TEMPERATURE_CHANGE, in manifest order."""
     run, out = recording.run_codes(), []
     for name in recording.names("temperature"):
@@ -138,11 +138,11 @@ def forward_selection(
     """
     recording = recording.take(np.arange(len(recording)) % -(-len(recording) // MAX_ROWS) == 0)
     chosen: tuple[int, ...] = ()
-    first = judged = _judged(recording, scheme, family(chosen))
+    first = judged = _held_out_residuals(recording, scheme, family(chosen))
     while judged is not None:
         wider = {tuple(sorted({*chosen, *step})) for step in steps} - {chosen}
-        tried = {terms: _judged(recording, scheme, family(terms)) for terms in sorted(wider)}
-        able = {terms: left for terms, left in tried.items() if left is not None and _comparable(judged, left)}
+        tried = {terms: _held_out_residuals(recording, scheme, family(terms)) for terms in sorted(wider)}
+        able = {terms: left for terms, left in tried.items() if left is not None and _on_same_rows(judged, left)}
         able = {terms: left for terms, left in able.items() if _rms(left) <= (1.0 - MIN_IMPROVEMENT) * _rms(judged)}
         while able and not _identifiable(recording, family(_best(able))):
             del able[_best(able)]
@@ -166,7 +166,7 @@ def _chance(before: float, after: float, runs: int, terms: int) -> float:
     return student_tail(np.sqrt((1.0 - left) * degrees / max(left, 1e-12)), degrees) if degrees > 0 else 1.0
 
 
-def _judged(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldOut] | None:
+def _held_out_residuals(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldOut] | None:
     """Residuals of every held-out group; None where the model cannot be fitted without one of them."""
     try:
         dated = holdout.with_calendar(recording, scheme.of)
@@ -191,7 +191,7 @@ def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
     return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * best), key=len)
 
 
-def _comparable(without: Sequence[HeldOut], extended: Sequence[HeldOut]) -> bool:
+def _on_same_rows(without: Sequence[HeldOut], extended: Sequence[HeldOut]) -> bool:
     """Whether more terms are judged on the same rows, but for the few where a temperature is missing."""
     return len(without) == len(extended) and all(
         h.rows.size > MIN_READ_SHARE * w.rows.size for w, h in zip(without, extended, strict=True)

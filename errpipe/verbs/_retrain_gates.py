@@ -54,7 +54,7 @@ def silent_sensors(model: ErrorModel, recording: Recording) -> Iterator[Gate]:
         yield Gate(f"readings of {name}", last not in runs, says)
 
 
-def units(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
+def temperature_units(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
     """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
     both, reference = with_new_runs(old, recording, known)
     found = None if both is None else input_drift.other_unit(both, reference)
@@ -63,7 +63,7 @@ def units(old: Recording, recording: Recording, known: frozenset[str]) -> list[G
     return [Gate("temperatures", False, f"since run {found[1]} all of them read as if in {found[0]}")]
 
 
-def names(reused: Sequence[str], any_new: bool) -> list[Gate]:
+def any_new_run(reused: Sequence[str], any_new: bool) -> list[Gate]:
     """New readings under the name of a run that fitted the champion count as old: fails where no run is new."""
     if not reused:
         return []

@@ -27,12 +27,11 @@ from errpipe.importing import (
     other_tests,
     repeated_runs,
     resolve,
+    several_files,
     signs,
     temperatures,
-    together,
     unstated,
 )
-from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.header import is_legend, with_legend
 from errpipe.importing.layout import NoReadingError, find_layout, stated_by_name
@@ -42,6 +41,7 @@ from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.readers import open_file
 from errpipe.importing.sheet import ReaderOptions, Sheet, filled_cells
+from errpipe.importing.transpose import transposed
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
 from errpipe.verbs._import_folders import folders_of, of_one_axis, only_some, refuse_twice
@@ -108,7 +108,7 @@ def _prepared(
             raise DataError(f"{file}: it only names channels, and none of the other files")
         sources.append({"file": file.name, "kind": "names of channels", "rows": len(sheets[0].rows)})
     _refuse_unknown_sets(parts.values(), options)
-    names = together.names_of_files([*parts], inside)
+    names = several_files.names_of_files([*parts], inside)
     unstated.refuse_another_scale(
         dict(zip(names, parts.values(), strict=True)), {*options.sets, *map(slug, options.sets)}
     )
@@ -118,17 +118,19 @@ def _prepared(
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], reader, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
-    names = together.names_of_files([*measured], inside)
-    together.refuse_states(names, "files", "import the one that is meant")
+    names = several_files.names_of_files([*measured], inside)
+    several_files.refuse_states(names, "files", "import the one that is meant")
     if not logs:
         temperatures.of_names(measured.values(), names)
-    runs = together.sides_of_names([*measured.values()], names)
-    complete = together.concatenate_files([*measured.values()], runs)
+    runs = several_files.sides_of_names([*measured.values()], names)
+    complete = several_files.concatenate_files([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.separate(complete)
-    for same_layout in together.of_one_log({file: parts[file] for file in logs}):
-        names = together.names_of_files(same_layout, inside)
-        together.add_log(complete, together.concatenate_files([parts[file] for file in same_layout], names), names)
+    for same_layout in several_files.of_one_log({file: parts[file] for file in logs}):
+        names = several_files.names_of_files(same_layout, inside)
+        several_files.add_log(
+            complete, several_files.concatenate_files([parts[file] for file in same_layout], names), names
+        )
     complete.notes[:] = [*notes, *left_out, *complete.notes, *empty]
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
@@ -207,20 +209,20 @@ def _of_any_sheet(
             if question and not out and not asked:
                 asked = f"{sheet.name}: {reason}" if len(sheets) > 1 else reason
     if not out:
-        hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS], "" if asked else kind)
+        hint = "" if features.WHO in asked else other_tests.identify(sheets[:MAX_SHEETS], "" if asked else kind)
         reasons = [f"{', '.join(dict.fromkeys(of))}: {why}" if len(sheets) > 1 else why for why, of in problems.items()]
-        if len(reasons) > together.MAX_SHEETS_NAMED:
-            reasons = [*reasons[: together.MAX_SHEETS_NAMED], "and others"]
+        if len(reasons) > several_files.MAX_SHEETS_NAMED:
+            reasons = [*reasons[: several_files.MAX_SHEETS_NAMED], "and others"]
         raise DataError(f"{file}: {'; '.join(reasons)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
-    together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
-    out = together.runs_of_sheets(out)
+    several_files.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
+    out = several_files.runs_of_sheets(out)
     proposal, name = out[0]
     for sheet in [s for s in sheets if s.name not in [n for _, n in out]]:
         signs.refuse_beside(proposal, (" ".join(map(str, filled_cells(row))) for row in sheet.rows[:NOTES]), sheet.name)
     if len(out) > 1:
-        others = ", ".join(other for _, other in out[1 : 1 + together.MAX_SHEETS_NAMED])
+        others = ", ".join(other for _, other in out[1 : 1 + several_files.MAX_SHEETS_NAMED])
         proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet chooses one)")
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
 

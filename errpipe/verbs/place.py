@@ -155,14 +155,14 @@ def cross_validate(
     for j, what in enumerate(("line", "parabola", "cubic")):
         k = int(np.argmin(degrees[:, j]))
         lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
-    lines.append(f"choose {len(chosen)}: {', '.join(chosen)}" if chosen else _undecided(smallest, nothing, gain.size))
+    lines.append(f"choose {len(chosen)}: {', '.join(chosen)}" if chosen else _why_none(smallest, nothing, gain.size))
     if len(chosen) == limit < min(len(names), MOST):
         more = min(2 * limit, MOST, len(names))
         lines.append(f"{limit} is the maximum that was tried: whether more are better is not known (--most {more})")
     return document, lines
 
 
-def _undecided(best: SensorPlacement, nothing: float, cycles: int) -> str:
+def _why_none(best: SensorPlacement, nothing: float, cycles: int) -> str:
     """Why no set is chosen: none is better (one duty cycle may be why), or too few duty cycles show it."""
     if best.rms_left_out >= nothing:
         worst = max(best.groups, key=lambda name: best.groups[name])

@@ -62,18 +62,18 @@ def retrain(
     limits, callbacks = (max_change_um, max_change_um_per_k), callbacks or NO_CALLBACKS
     with exclusive_lock(out, callbacks.waiting):  # of two at once one waits: they are one look after the other
         try:
-            return _decided(pipeline, champion, out, alpha, limits, allowed_sensors, callbacks)
+            return _decide(pipeline, champion, out, alpha, limits, allowed_sensors, callbacks)
         except (ErrpipeError, OSError, MemoryError) as err:
             write_failure(pipeline.title, str(err) or "out of memory", out)
             raise
 
 
-def _decided(
+def _decide(
     pipeline: Pipeline, champion: Path, out: Path, alpha: float, limits: Limits, allowed: Sequence[str], how: Callbacks
 ) -> dict[str, Any]:
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
-    kept_from, dates = _since(earlier, fingerprint)
+    kept_from, dates = _first_runs(earlier, fingerprint)
     cleaned = out / RUN / _last_stage_with(pipeline, "recording")
     try:
         refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, how)
@@ -92,7 +92,7 @@ def _decided(
     return document
 
 
-def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, list[str]]:
+def _first_runs(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, list[str]]:
     """The run that the champion's own fit began with (None: the first), and those that the challenger's may begin with.
 
     Where an earlier look at this champion dated a change of the machine, the runs before it are another machine's. It
@@ -156,7 +156,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         *_retrain_gates.responses(drift),
         *_retrain_gates.outlying_runs(drift),
         *_retrain_gates.silent_sensors(old_model, recording),
-        *_retrain_gates.units(old_recording, recording, known),
+        *_retrain_gates.temperature_units(old_recording, recording, known),
     ]
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
@@ -175,7 +175,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         for family in map(_artefacts.family_in, folders):
             new = retraining.score_new_runs(recording, family, in_its_table, known, already_scored, old_model.validity)
             scores += [s for s in new if s.run not in wrong]
-        gates += _retrain_gates.names(retraining.reused_names(old_recording, recording), any_new=bool(scores))
+        gates += _retrain_gates.any_new_run(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
         gates += _retrain_gates.change_gate(change, limits)
         gates += [_retrain_gates.inputs(old_model, model, allowed), _retrain_gates.drifting_sensors(drift, model)]

@@ -36,10 +36,10 @@ def _plot_of(file: Path, kind: str) -> list[str]:
     if kind == "compensation table":
         return _table(file)
     curves = controller_curves(file)[0][1][:2] if kind == "controller file" else []
-    return [line for c in curves for line in _drawn(c)]
+    return [line for c in curves for line in _correction_plot(c)]
 
 
-def _drawn(curve: Any) -> list[str]:
+def _correction_plot(curve: Any) -> list[str]:
     """A correction over positions, from both sides."""
     unit, scale = ("arcsec", 3600.0) if components.is_rotary(curve.axis) else ("um", 1e3)
     heading = f"correction of {curve.axis} in {unit} over {curve.over}: + from below, - from above, * both"
@@ -73,7 +73,7 @@ def _table(file: Path) -> list[str]:
             if _sample.span(table, over) == UNBOUNDED:
                 continue
             places = np.linspace(*_sample.span(table, over), 4 * WIDTH)
-            out += _drawn(_sample.curve(table, axis, over, places))
+            out += _correction_plot(_sample.curve(table, axis, over, places))
     return out
 
 

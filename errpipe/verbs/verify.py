@@ -47,7 +47,7 @@ def verify(folder: Path) -> dict[str, Any]:
         raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe{hint}")
     listed = jsonfile.read(folder / "export.json")
     refuse_interrupted(folder / "export.json", listed)
-    document = _listed(folder / "export.json", listed)
+    document = _checked_document(folder / "export.json", listed)
     table = ect.read(folder / _artefacts.TABLE)
     checks = [f"{_artefacts.TABLE}: checksum, layout and limits hold"]
     if ect.read_json(folder / _artefacts.TWIN) != table:
@@ -60,7 +60,7 @@ def verify(folder: Path) -> dict[str, Any]:
     return {"checks": len(checks), "says": checks}
 
 
-def _listed(path: Path, document: Any) -> dict[str, Any]:
+def _checked_document(path: Path, document: Any) -> dict[str, Any]:
     """The document, whose files and checksums have the types that an export writes. Raises VerifyError."""
     rows, sums = (document.get("files"), document.get("sha256", {})) if isinstance(document, dict) else (None, None)
     numbers = ("bound_um", "largest_um", "rms_um", "table_rms_um", "constant_um", "states")
@@ -149,7 +149,7 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
                 f"{folder / name}: cannot be verified: export.json keeps no checksum of its files and no "
                 "losses to compare; export again"
             )
-        if not _same(lost, rows[0]):
+        if not _is_same_loss(lost, rows[0]):
             before = rows[0]["error"]
             raise VerifyError(f"{folder / name}: now loses {in_words(lost)}; it lost {before} when it was exported")
         checks.append(f"{name}: read back as the controller does; loses {in_words(lost)}")
@@ -164,7 +164,7 @@ def _comparable(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     return all(x.get("states") == y["states"] and "constant_um" in x for x in exported.values() for y in lost)
 
 
-def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
+def _is_same_loss(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     """Whether a loss is that of the export. One measured on other states, by another version, cannot be compared."""
     exported = {x["axis"]: x for x in row.get("losses", lost)}
     if set(exported) != {x["axis"] for x in lost}:

@@ -20,7 +20,7 @@ from errpipe.cli._pipeline import load_pipeline_file
 from errpipe.cli.app import main
 from errpipe.pipeline.lock import exclusive_lock
 from errpipe.pipeline.step import NO_CALLBACKS
-from errpipe.verbs.retrain import _since
+from errpipe.verbs.retrain import _first_runs
 from errpipe.verbs.retrain import retrain as one_look
 
 MANIFEST = """recording: 1
@@ -261,11 +261,11 @@ def test_where_too_few_runs_follow_the_latest_date_the_one_before_counts() -> No
     """Else one look at a date of two runs ago had fitted a challenger on the machine of before."""
     look = {"champion": "a", "challenger": "b", "kept_from": None, "fitted_since": "day 12"}
     drift = {"changes": [{"since": "day 20"}]}
-    assert _since(look | {"drift": drift}, "a") == (None, ["day 20", "day 12"])
-    assert _since(look | {"drift": {"changes": []}}, "a") == (None, [])
-    assert _since(look | {"drift": drift, "kept_from": "day 3"}, "a") == ("day 3", ["day 20", "day 12", "day 3"])
-    assert _since(look | {"drift": drift}, "b") == ("day 12", ["day 12"])
-    assert _since({}, "a") == (None, [])
+    assert _first_runs(look | {"drift": drift}, "a") == (None, ["day 20", "day 12"])
+    assert _first_runs(look | {"drift": {"changes": []}}, "a") == (None, [])
+    assert _first_runs(look | {"drift": drift, "kept_from": "day 3"}, "a") == ("day 3", ["day 20", "day 12", "day 3"])
+    assert _first_runs(look | {"drift": drift}, "b") == ("day 12", ["day 12"])
+    assert _first_runs({}, "a") == (None, [])
 
 
 def test_a_first_run_that_the_pipeline_names_is_the_one_that_the_report_names(site: Path) -> None:

@@ -88,11 +88,11 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
     search = SimpleNamespace(scene=lambda _: SimpleNamespace(coefficients=lambda: np.zeros(2)))
     nuisances = {"nuisances": [gains.DATUM, gains.WHOLE], "sizes": np.ones(2), "chosen": list, "search": search}
     case = SimpleNamespace(held=held, over_noise=np.inf, of_a_twin=False, **nuisances)
-    assert report._most(case, [SimpleNamespace()], indicators, np.zeros(3)) == [most]
+    assert report._confidence_limits(case, [SimpleNamespace()], indicators, np.zeros(3)) == [most]
     monkeypatch.setattr(plausible, "is_insignificant", lambda *_: True)  # on a stretch that was also searched for
     for mask, limit in ((), report.UNSIZED), (("range", "x", 0.0, 5.0), report.UNPROVED):
         made = SimpleNamespace(hypothesis=SimpleNamespace(mask=mask))
-        assert report._most(case, [made], indicators, np.zeros(3)) == [limit]
+        assert report._confidence_limits(case, [made], indicators, np.zeros(3)) == [limit]
 
 
 @pytest.mark.parametrize(("low", "nothing"), [(-1.0, True), (0.5, False)])

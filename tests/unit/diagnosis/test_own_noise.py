@@ -178,7 +178,7 @@ def test_what_opens_and_closes_late_is_no_linear_process(size, late):
         noisy = opened + np.random.default_rng(seed).standard_normal(900)
         assert not coloured.autoregression(noisy, run).has_heavy_tails()
         assert coloured.is_nonlinear(noisy, run)
-    assert not any(coloured.is_nonlinear(c, run) for c in coloured.copies(noisy, 5, np.random.default_rng(1)))
+    assert not any(coloured.is_nonlinear(c, run) for c in coloured.surrogates(noisy, 5, np.random.default_rng(1)))
     turned = np.repeat(np.arange(90), 10)  # runs of 10 rows; runs of one hold no means
     assert not coloured.is_nonlinear(np.random.default_rng(0).standard_normal(900), turned)
     assert not coloured.is_nonlinear(noisy, np.arange(900))

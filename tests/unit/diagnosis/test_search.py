@@ -56,9 +56,9 @@ def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monke
     namespace = SimpleNamespace(effect="a", drivers=("x",))
     made = SimpleNamespace(library=SimpleNamespace(hypotheses=[namespace]), prior=np.zeros(1))
     earlier = SimpleNamespace(prior=made.prior)
-    monkeypatch.setattr(judge, "_settled", lambda made: ())
-    monkeypatch.setattr(judge, "_explained", lambda made: made)
-    other = judge._without(made, SimpleNamespace(hypothesis=namespace))
+    monkeypatch.setattr(judge, "_converged_search", lambda made: ())
+    monkeypatch.setattr(judge, "_best_explanation", lambda made: made)
+    other = judge._best_without(made, SimpleNamespace(hypothesis=namespace))
     assert other.prior[0] == NEVER and earlier.prior[0] == 0.0
 
 
@@ -138,14 +138,14 @@ def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch
 
     two, one, seen = case([1, 2], 500.0), case([0], joint), []
     two.held = SimpleNamespace(agreement=(agreement, 0.0), often=("feed_heating",))
-    monkeypatch.setattr(judge, "_held", lambda case: case.held)
-    monkeypatch.setattr(judge, "_settled", lambda made: seen.append(made.prior) or ())
+    monkeypatch.setattr(judge, "_held_out", lambda case: case.held)
+    monkeypatch.setattr(judge, "_converged_search", lambda made: seen.append(made.prior) or ())
 
     def explained(made):
         made.prior = np.r_[made.prior, 0.0]  # a point of the grid joins the library
         return one
 
-    monkeypatch.setattr(judge, "_explained", explained)
+    monkeypatch.setattr(judge, "_best_explanation", explained)
     assert judge._found_by_folds(made, two) is (one if taken else two)
     if seen:
         assert seen[0].tolist() == [0.0, NEVER, NEVER]

@@ -51,10 +51,10 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
 def test_the_weakest_of_several_impossible_findings_is_ruled_out_first(monkeypatch):
     """Beside a loop's lag a dead time has nearly the same form: neither has a possible size while both are there."""
     out, left = [], [["lag", "dead time"], []]
-    monkeypatch.setattr(judge, "_explained", lambda *_: None)
+    monkeypatch.setattr(judge, "_best_explanation", lambda *_: None)
     monkeypatch.setattr(judge.plausible, "impossible", lambda case: left.pop(0))
     monkeypatch.setattr(judge.plausible, "doubtful", lambda case: [])
-    monkeypatch.setattr(judge, "_without", lambda made, m: out.append(m))
+    monkeypatch.setattr(judge, "_best_without", lambda made, m: out.append(m))
     judge._without_impossible(None, None)  # type: ignore[arg-type]
     assert out == ["dead time"]
 

@@ -15,7 +15,7 @@ from errpipe.models.rises import Rises
 from errpipe.models.season import Season
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
-from errpipe.stages import _proof
+from errpipe.stages import _verification
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import batch, by_component, ect
 from errpipe.thermal.arithmetic import short_gaps_held, since_start
@@ -94,13 +94,13 @@ def test_a_table_whose_guards_take_away_what_the_model_gains_is_refused():
     proof = {"component": "E_Z", "unit": "um", "rows": 100, "largest_difference_um": 19.8, "rms_difference_um": 6.0}
     proof |= {"rms_model_um": 12.0, "bound_um": 0.01, "unguarded_difference_um": 0.01, "rows_held_back": 7}
     judged = {"component": "E_Z", "rms_before": 15.0, "rms_at_gain": 2.0}
-    (said,) = _proof.remarks([proof], GatedModel(None, (), (judged,)))
+    (said,) = _verification.remarks([proof], GatedModel(None, (), (judged,)))
     assert "7 of 100 rows" in said and "up to 19.8" in said and "max_rate" in said
     with pytest.raises(GateError, match="gains 5"):
-        _proof.remarks([proof], GatedModel(None, (), (judged | {"rms_at_gain": 10.0},)))
+        _verification.remarks([proof], GatedModel(None, (), (judged | {"rms_at_gain": 10.0},)))
     with pytest.raises(GateError, match="gains 5"):  # by whatever it differs
-        _proof.remarks([proof | {"rows_held_back": 0}], GatedModel(None, (), (judged | {"rms_at_gain": 10.0},)))
-    assert _proof.remarks([proof | {"rows_held_back": 0}], GatedModel(None, (), (judged,))) == []
+        _verification.remarks([proof | {"rows_held_back": 0}], GatedModel(None, (), (judged | {"rms_at_gain": 10.0},)))
+    assert _verification.remarks([proof | {"rows_held_back": 0}], GatedModel(None, (), (judged,))) == []
 
 
 def of_terms(recording: Recording):
@@ -114,10 +114,10 @@ def test_a_step_that_a_table_of_terms_does_not_believe_is_reported():
     """Readings 30 K above their neighbours from one row on, in a model of which the table holds every term."""
     recording, _ = spindle_drift.simulate(2, days=DAYS)
     model, table = of_terms(recording)
-    (same,) = _proof.compare(table, model, recording)
+    (same,) = _verification.compare(table, model, recording)
     jumped = recording.array("T_front").copy()
     jumped[500:] += 30.0
-    (other,) = _proof.compare(table, model, recording.with_columns({"T_front": jumped}, {}))
+    (other,) = _verification.compare(table, model, recording.with_columns({"T_front": jumped}, {}))
     assert same["rows_held_back"] == 0 and other["rows_held_back"] > 100 and other["largest_difference_um"] > 1
     assert other["unguarded_difference_um"] < 1e-6 and other["not_compensated"] == []
 
@@ -130,9 +130,9 @@ def test_a_table_of_another_model_fails_the_run():
     model, table = of_terms(recording)
     (component,) = model.components
     more = model.model_copy(update={"components": (component.model_copy(update={"gain": 1.01}),)})
-    assert _proof.remarks(_proof.compare(table, model, recording), GatedModel(None, (), ())) == []
+    assert _verification.remarks(_verification.compare(table, model, recording), GatedModel(None, (), ())) == []
     with pytest.raises(VerifyError, match=r"differs from its model by .* its bound"):
-        _proof.remarks(_proof.compare(table, more, recording), GatedModel(None, (), ()))
+        _verification.remarks(_verification.compare(table, more, recording), GatedModel(None, (), ()))
 
 
 def test_a_table_that_gives_no_number_where_its_model_does_is_no_proof(monkeypatch):
@@ -140,9 +140,9 @@ def test_a_table_that_gives_no_number_where_its_model_does_is_no_proof(monkeypat
 
     recording, _ = spindle_drift.simulate(2, days=DAYS)
     model, table = of_terms(recording)
-    monkeypatch.setattr(_proof, "table_values", lambda *_: {"E_Z": np.full(len(recording), np.nan)})
+    monkeypatch.setattr(_verification, "table_values", lambda *_: {"E_Z": np.full(len(recording), np.nan)})
     with pytest.raises(VerifyError, match="differs from its model by inf"):
-        _proof.remarks(_proof.compare(table, model, recording), GatedModel(None, (), ()))
+        _verification.remarks(_verification.compare(table, model, recording), GatedModel(None, (), ()))
 
 
 def test_an_hour_without_one_of_two_sensors_of_a_lag_is_no_error_of_the_table():
@@ -155,9 +155,9 @@ def test_an_hour_without_one_of_two_sensors_of_a_lag_is_no_error_of_the_table():
     recording = recording.with_columns({"T_rear": silent}, {})
     family = Season.model_validate({"family": "season", "component": "E_Z"})
     model = family.fit(recording).model
-    proof = _proof.compare(compile_model(model, CompileOptions(), recording=recording), model, recording)
+    proof = _verification.compare(compile_model(model, CompileOptions(), recording=recording), model, recording)
     assert proof[0]["unguarded_difference_um"] < 1e-6
-    assert _proof.remarks(proof, GatedModel(None, (), ())) is not None
+    assert _verification.remarks(proof, GatedModel(None, (), ())) is not None
 
 
 def test_a_switched_coolant_logged_in_other_rows_than_the_temperatures_is_no_error_of_the_table():
@@ -174,5 +174,5 @@ def test_a_switched_coolant_logged_in_other_rows_than_the_temperatures_is_no_err
     model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(recording).model
     table = compile_model(model, CompileOptions(), recording=recording)
     assert "flow" in {i.name for i in table.inputs}
-    (proof,) = _proof.compare(table, model, recording)
+    (proof,) = _verification.compare(table, model, recording)
     assert proof["unguarded_difference_um"] < 1e-6 and proof["largest_difference_um"] < 1e-6

@@ -218,16 +218,16 @@ def test_far_outside_only_a_share_is_used_and_the_interval_is_as_much_wider():
 def test_warm_oil_rubs_less():
     recording = machine(2)
     sensors = causes.sensors(recording)
-    friction = drive(causes.oil(sensors, 0.05), recording)
+    friction = drive(causes.oil_friction(sensors, 0.05), recording)
     level = recording.frame.groupby("run")[["T_spindle", "T_bed"]].transform("first").mean(axis=1).to_numpy()
     assert_allclose(friction, np.exp(-0.05 * (level - 20.0)), rtol=3e-3)
-    assert causes.oil(sensors, 0.0) is None
+    assert causes.oil_friction(sensors, 0.0) is None
 
 
 def test_a_follower_may_begin_some_of_the_way_to_the_room():
     recording = machine(1, room_early=2.0)
     machine_s, room_s, half = (
-        drive(causes.follower("T_room", "T_bed", 7200.0, mix), recording) for mix in (0.0, 1.0, 0.5)
+        drive(causes.room_lag("T_room", "T_bed", 7200.0, mix), recording) for mix in (0.0, 1.0, 0.5)
     )
     assert_allclose(half, 0.5 * (machine_s + room_s), atol=1e-9)
     assert half[-1] < machine_s[-1] - 0.3

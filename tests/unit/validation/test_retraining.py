@@ -125,9 +125,9 @@ def test_new_readings_under_an_old_name_are_seen() -> None:
     old, later = Recording(manifest, frame), Recording(manifest, frame.assign(EXX=[*range(4), *range(50, 58)]))
     assert reused_names(old, later) == ["2", "3"]
     assert reused_names(old, old) == []
-    (gate,) = _retrain_gates.names(["2", "3"], any_new=False)
+    (gate,) = _retrain_gates.any_new_run(["2", "3"], any_new=False)
     assert not gate.passed and gate.says.startswith("2, 3: called as runs that fitted the champion")
-    assert _retrain_gates.names([], any_new=False) == []
+    assert _retrain_gates.any_new_run([], any_new=False) == []
 
 
 def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Recording, np.ndarray]:

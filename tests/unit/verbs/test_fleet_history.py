@@ -29,11 +29,13 @@ TASKS = [("axis.yaml", name, [], "/o") for name in ("a", "b")]
 def part(run: str, low: float, high: float, rows: int = 10) -> Source:
     ends = pd.DataFrame({"run": [run, run], "EXX": [low, high]})
     manifest = Manifest(recording=1, tables=("t.parquet",), columns=COLUMNS)
-    return Source(rows, Recording(manifest, ends), _fleet_history._nothing, frozenset({"run", "EXX"}), {run: rows})
+    return Source(
+        rows, Recording(manifest, ends), _fleet_history._refuse_reading, frozenset({"run", "EXX"}), {run: rows}
+    )
 
 
 def joined(*parts: Source) -> _fleet_history.Parts:
-    return _fleet_history._together([(p, str(k)) for k, p in enumerate(parts)], ["a", "b"][: len(parts)], lambda *_: [])
+    return _fleet_history._joined([(p, str(k)) for k, p in enumerate(parts)], ["a", "b"][: len(parts)], lambda *_: [])
 
 
 def test_parts_state_what_the_whole_would() -> None:
@@ -48,7 +50,7 @@ def test_parts_state_what_the_whole_would() -> None:
 def test_each_part_is_given_its_first_row_in_the_whole() -> None:
     told: list[Any] = []
     parts = [part("1", 0.0, 1.0), part("2", 0.0, 1.0)]
-    whole = _fleet_history._together([(p, "-") for p in parts], ["a", "b"], lambda f, each: told.extend(each))
+    whole = _fleet_history._joined([(p, "-") for p in parts], ["a", "b"], lambda f, each: told.extend(each))
     whole.over(len)
     assert [arguments[1] for arguments in told] == [0, 10]
 
@@ -116,7 +118,7 @@ def test_a_part_that_fails_is_named_and_nothing_is_written(tmp_path: Path) -> No
 
     def passes(function: Any, arguments: Any) -> Any:
         return [
-            _fleet_history._attempted(function, task, "ingest", *a) for task, a in zip(tasks, arguments, strict=True)
+            _fleet_history._try_on_part(function, task, "ingest", *a) for task, a in zip(tasks, arguments, strict=True)
         ]
 
     spec = load_pipeline(tmp_path / "p.yaml", STAGES)

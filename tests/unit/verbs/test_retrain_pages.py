@@ -97,7 +97,7 @@ def test_a_full_disk_leaves_no_page_of_the_look_before(tmp_path: Path, monkeypat
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(out / "run/ingest/recording.parquet"))
 
-    monkeypatch.setattr(retrain_verb, "_decided", full)
+    monkeypatch.setattr(retrain_verb, "_decide", full)
     monkeypatch.setattr(pages.jsonfile, "write_text", full)
     with pytest.raises(OSError, match="No space"):
         retrain_verb.retrain(SimpleNamespace(title="axis"), champion, out)  # type: ignore[arg-type]

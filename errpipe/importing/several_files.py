@@ -13,7 +13,7 @@ import pandas as pd
 
 from errpipe.domain import units
 from errpipe.errors import DataError
-from errpipe.importing import hours_off
+from errpipe.importing import daylight_saving
 from errpipe.importing.columns import side
 from errpipe.importing.order import set_side
 from errpipe.importing.proposed import AXIS_ASSUMED, Proposal, slug
@@ -294,7 +294,7 @@ def add_log(p: Proposal, log: Proposal, stems: Sequence[str]) -> None:
     p.notes.append(f"{stem}: its clock is taken to agree with that of the deviations: if not, shift its times")
     _refuse_other_clock(p, log, logged, at, (stem, log_time, step))
     of_run = p.data.get(p.first("run") or "", [""] * at.size)
-    p.notes += hours_off.noted(stem, of_run, at, logged[log_time].to_numpy(), STALE_STEPS * step)
+    p.notes += daylight_saving.note(stem, of_run, at, logged[log_time].to_numpy(), STALE_STEPS * step)
     names = {n: n if n not in p.entries else slug(f"{stem}_{n}") for n in logged.columns if n != log_time}
     logged = logged.rename(columns={log_time: time, **names})
     if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):

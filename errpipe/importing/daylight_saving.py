@@ -11,7 +11,7 @@ MOST = 2  # h: two time zones
 AGREE = 300.0  # s, by judgement: loggers are started and stopped by hand, some minutes from each other
 
 
-def noted(stem: str, run: Sequence[str], at: np.ndarray, clock: np.ndarray, longest: float) -> list[str]:
+def note(stem: str, run: Sequence[str], at: np.ndarray, clock: np.ndarray, longest: float) -> list[str]:
     """A note for all runs that a log misses by the same hours at both ends; none for one that goes on between runs.
 
     run, at: run and time of each deviation, s; clock: ascending times of the log, s; longest: that is no break of it.
