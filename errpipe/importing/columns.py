@@ -13,16 +13,7 @@ from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import NUMERIC_SHARE, Layout, RawColumn
 from errpipe.importing.units import in_brackets
-from errpipe.importing.words import (
-    AXIS_LETTER,
-    CORRECTION,
-    DISPLACEMENT,
-    DISTANCE,
-    GROUPS,
-    direction_of,
-    kind_by_name,
-    plain,
-)
+from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DISTANCE, GROUPS, kind_by_name, plain, way_of
 
 KIND_OF_UNIT = {
     **dict.fromkeys(("degC", "degF", "K"), "temperature"),
@@ -193,17 +184,13 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     if kind == "coolant" and KIND_OF_UNIT.get(unit or "") is not None:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     stated = unit or in_brackets(column.header)
-    if kind == "coolant" and stated is None and not set(np.unique(values.without_gaps(column))) <= {0.0, 1.0}:
+    if kind == "coolant" and stated is None and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
         return "ignore", "named as coolant, but its values are not 0 and 1 (off and on)"
     if kind == "direction" and not _states_sides(column):
         return "ignore", NO_SIDES
     if kind == "run" and _side(column) is not None:
         return "direction", "its values (two signs)"  # `Pass`: forward, return
-    if (
-        kind == "error"
-        and re.search(CORRECTION, plain(column.header))
-        and np.unique(values.without_gaps(column)).size <= 2
-    ):
+    if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(values.known(column)).size <= 2:
         return "ignore", "named as a compensation, but with two values: it states whether one is active"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
@@ -336,7 +323,7 @@ def side(text: object) -> float | None:
     words = [w for w in re.split(r"[\s_.]+", word) if not _FILLER.fullmatch(w)]
     came_from = len(words) == 1 and _SIGN.fullmatch(words[0]) and set(_FROM) & set(re.split(r"[\s_.]+", word))
     word = words[0] if len(words) == 1 else word
-    way = direction_of(word)
+    way = way_of(word)
     return -way if came_from and way is not None else way
 
 

@@ -29,32 +29,30 @@ def rises_evenly(column: RawColumn) -> bool:
 
 def too_large_for_a_deviation(column: RawColumn) -> bool:
     """Whether values in um exceed the range of any deviation: positions logged in um."""
-    numbers = without_gaps(column)
+    numbers = known(column)
     return column.unit == "um" and numbers.size > 0 and float(np.ptp(numbers)) > FARTHEST_UM
 
 
 def is_nano_travel(small: RawColumn, read: RawColumn) -> bool:
     """Whether a small length is the travel of a nano-stage: far longer than the range of the deviations beside it."""
     um = {"um": 1.0, "nm": 1e-3}
-    ranges = [
-        um.get(c.unit or "", np.nan) * float(np.ptp(without_gaps(c))) for c in (small, read) if without_gaps(c).size
-    ]
+    ranges = [um.get(c.unit or "", np.nan) * float(np.ptp(known(c))) for c in (small, read) if known(c).size]
     return len(ranges) == 2 and ranges[0] > LEAST_OVER_DEVIATIONS * ranges[1]
 
 
 def plausible_in_celsius(column: RawColumn) -> bool:
     """Whether the median reading is plausible in degC, for a shop or a machine."""
-    numbers = without_gaps(column)
+    numbers = known(column)
     return numbers.size == 0 or COLDEST <= float(np.median(numbers)) <= HOTTEST
 
 
 def as_long_as_a_travel(column: RawColumn) -> bool:
     """Whether values in mm (um) exceed the range of any deviation."""
-    numbers, unit = without_gaps(column), {"mm": 1e3, "um": 1.0, "m": 1e6, "inch": 25.4e3}.get(column.unit or "mm", 0.0)
+    numbers, unit = known(column), {"mm": 1e3, "um": 1.0, "m": 1e6, "inch": 25.4e3}.get(column.unit or "mm", 0.0)
     return numbers.size > 0 and float(np.ptp(numbers)) * unit > FARTHEST_UM
 
 
-def without_gaps(column: RawColumn) -> np.ndarray:
+def known(column: RawColumn) -> np.ndarray:
     """The numbers of a column, without its empty cells."""
     return column.values[np.isfinite(column.values)]
 

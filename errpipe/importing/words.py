@@ -274,29 +274,29 @@ def _measured(header: str) -> str:
 def unknown_word(header: str) -> str | None:
     """The first unknown word in a header of readings that may state their sign: `Fehlbetrag`; or None."""
     for word in re.findall(r"[^\W\d_]{3,}|[^\W\d_a-z]{2,}", plain(header)):
-        if not _NEUTRAL.fullmatch(word) and kind_by_name(word) is None and not _directions_of(word):
+        if not _NEUTRAL.fullmatch(word) and kind_by_name(word) is None and not _ways_of(word):
             return word
     return None
 
 
 def direction_word_in(header: str) -> str | None:
     """The direction word of a text, if all its direction words agree: `reverse` in `Run 2 reverse`."""
-    found = [word for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) if _directions_of(word)]
+    found = [word for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) if _ways_of(word)]
     return found[-1] if direction_sign_of(header) is not None else None
 
 
 def direction_sign_of(header: str) -> float | None:
     """+1 or -1 if exactly one word of a header is a direction: `Forward 1 (um)`; else None."""
-    ways = {way for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) for way in _directions_of(word)}
+    ways = {way for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) for way in _ways_of(word)}
     return ways.pop() if len(ways) == 1 else None
 
 
-def direction_of(word: str) -> float | None:
+def way_of(word: str) -> float | None:
     """+1 or -1 for a word of direction in the form of `plain`, or None."""
-    return next(iter(_directions_of(word)), None)
+    return next(iter(_ways_of(word)), None)
 
 
-def _directions_of(word: str) -> list[float]:
+def _ways_of(word: str) -> list[float]:
     return [way for way, pattern in ((1.0, UP), (-1.0, DOWN)) if pattern.fullmatch(word)]
 
 

@@ -68,7 +68,7 @@ def markdown(document: Mapping[str, Any]) -> str:
 def _next_step(document: Mapping[str, Any]) -> str:
     if document["decision"] == "promote":
         return "put `run` beside this page in the place of the champion's folder, and its table on the machine."
-    if all(g["passed"] or _needs_more_runs(g) for g in document["gates"]):
+    if all(g["passed"] or _pending(g) for g in document["gates"]):
         return "nothing. The champion stays; further runs add evidence."
     return "the champion stays. Correct each item marked **no**, or allow it if it is intended, and run this again."
 
@@ -89,10 +89,7 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     lines = ["## Drift", ""]
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
-    texts = [
-        f"Sensor {d['column']} {_sensor_verdict(d)} since run {d['since']}: {d['size']:+.2g} K."
-        for d in drift["inputs"]
-    ]
+    texts = [f"Sensor {d['column']} {_verdict(d)} since run {d['since']}: {d['size']:+.2g} K." for d in drift["inputs"]]
     texts += [
         f"The champion's residual of {d['component']} moved since run {d['since']}{_regime(d)}: "
         f"{d['size_um']:+.3g} um on average."
@@ -112,7 +109,7 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     return [*lines, *(f"- {plain_text(sentence)}" for sentence in (*texts, *_sentences(drift)))]
 
 
-def _sensor_verdict(sensor: Mapping[str, Any]) -> str:
+def _verdict(sensor: Mapping[str, Any]) -> str:
     if sensor["healthy"]:
         return (
             "left the others but reads right, as the deviations show (what surrounds it changed: coolant, place, load?)"
@@ -126,7 +123,7 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     """Lines for a terminal: decision, failed gates, sensors that may drift, changes."""
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
     for d in (d for d in document["drift"]["inputs"] if d["flagged"] or d["healthy"]):
-        lines.append(f"sensor {d['column']} {_sensor_verdict(d)} since run {d['since']}")
+        lines.append(f"sensor {d['column']} {_verdict(d)} since run {d['since']}")
     return [*lines, *_fitted(document), *_sentences(document["drift"])]
 
 
@@ -149,14 +146,10 @@ def _sentences(drift: Mapping[str, Any]) -> list[str]:
 def junit(document: Mapping[str, Any]) -> str:
     """One test case per gate, as CI systems read them; insufficient evidence is skipped, not failed."""
     gates = document["gates"]
-    waiting, lines = sum(_needs_more_runs(g) for g in gates), []
+    waiting, lines = sum(_pending(g) for g in gates), []
     failed = sum(not g["passed"] for g in gates) - waiting
     for gate in gates:
-        name, says, kind = (
-            escape(gate["name"]),
-            escape(gate["says"]),
-            "skipped" if _needs_more_runs(gate) else "failure",
-        )
+        name, says, kind = escape(gate["name"]), escape(gate["says"]), "skipped" if _pending(gate) else "failure"
         lines.append(f'  <testcase classname="{escape(document["title"])}" name="{name}">')
         lines += [] if gate["passed"] else [f'    <{kind} message="{says}">{says}</{kind}>']
         lines.append("  </testcase>")
@@ -170,7 +163,7 @@ def _test_suite(counts: Mapping[str, int], cases: Sequence[str]) -> str:
     return "\n".join([head, *cases, "</testsuite>", ""])
 
 
-def _needs_more_runs(gate: Mapping[str, Any]) -> bool:
+def _pending(gate: Mapping[str, Any]) -> bool:
     """Whether a gate fails only for lack of further runs."""
     return not gate["passed"] and gate["name"] == EVIDENCE
 
@@ -178,9 +171,7 @@ def _needs_more_runs(gate: Mapping[str, Any]) -> bool:
 def code_quality(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Failed gates as GitLab's code quality report."""
     failed = [g for g in document["gates"] if not g["passed"]]
-    return [
-        _quality(document["title"], g["name"], g["says"], "info" if _needs_more_runs(g) else "major") for g in failed
-    ]
+    return [_quality(document["title"], g["name"], g["says"], "info" if _pending(g) else "major") for g in failed]
 
 
 def _quality(title: str, name: str, says: str, severity: str) -> dict[str, Any]:
@@ -196,13 +187,11 @@ def _quality(title: str, name: str, says: str, severity: str) -> dict[str, Any]:
 def github_annotations(document: Mapping[str, Any]) -> list[str]:
     """Workflow commands, a line for each failed gate and all that drifted."""
     failed = [g for g in document["gates"] if not g["passed"]]
-    warnings = [
-        ("sensor", f"{d['column']} {_sensor_verdict(d)} since run {d['since']}") for d in document["drift"]["inputs"]
-    ]
+    warnings = [("sensor", f"{d['column']} {_verdict(d)} since run {d['since']}") for d in document["drift"]["inputs"]]
     warnings += [("narrower validity", says) for says in document["narrower"]]
     warnings += [("drift", sentence) for sentence in _sentences(document["drift"])]
     return [
-        *(workflow_command("notice" if _needs_more_runs(g) else "error", g["says"], title=g["name"]) for g in failed),
+        *(workflow_command("notice" if _pending(g) else "error", g["says"], title=g["name"]) for g in failed),
         *(workflow_command("warning", says, title=title) for title, says in warnings),
     ]
 
