@@ -12,7 +12,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from errpipe.domain.recording import FrozenModel
 from errpipe.errors import did_you_mean
@@ -20,7 +20,7 @@ from errpipe.yamlfile import quantity
 
 Vector = tuple[float, float, float]
 LETTERS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-_LIKE = {"U": "X", "V": "Y", "W": "Z", "P": "X", "Q": "Y", "R": "Z", "A": "X", "B": "Y", "C": "Z"}
+LIKE = {"U": "X", "V": "Y", "W": "Z", "P": "X", "Q": "Y", "R": "Z", "A": "X", "B": "Y", "C": "Z"}
 
 
 def _unit_vector(value: Vector) -> Vector:
@@ -104,6 +104,7 @@ class Machine(FrozenModel):
     title: str = Field("", description="what it is, for people")
     notes: tuple[str, ...] = Field((), description="remarks that are printed with its model in symbols")
     chain: tuple[str, ...] = Field(description="links from workpiece to tool; a prime: carries the workpiece")
+    left_handed: bool = Field(False, description="whether the control counts X, Y and Z left-handed, against ISO 841")
     axes: dict[str, Axis] = Field(description="axes of the chain by letter")
     datum_axes: tuple[str, ...] = Field(
         (), description="linear axes in the order squareness refers to: the first is the datum; X, Y, Z where left out"
@@ -112,6 +113,26 @@ class Machine(FrozenModel):
     workpiece: Vector = quantity("mm", "origin of the workpiece frame", (0.0, 0.0, 0.0))
     spindle: Spindle = Field(Spindle(), description="the spindle nose")
     tool: Tool = Field(Tool(), description="the tool, from its mount to its tip")
+
+    @field_validator("axes")
+    @classmethod
+    def _right_handed(cls, axes: dict[str, Axis], info: ValidationInfo) -> dict[str, Axis]:
+        """Refuses X, Y, Z that count left-handed, unless it is stated, or one counts a carriage's own motion."""
+        three = [axes[letter] for letter in LETTERS if letter in axes]
+        stated = info.data.get("left_handed") or any(a.errors_of == "carriage" for a in three)
+        if len(three) < 3 or stated:
+            return axes
+        x, y, z = (a.direction or LETTERS[n] for n, a in zip(LETTERS, three, strict=True))
+        if sum(x[i] * (y[i - 2] * z[i - 1] - y[i - 1] * z[i - 2]) for i in range(3)) < 0.0:
+            turned = [
+                n for n, a in zip(LETTERS, three, strict=True) if a.direction and a.direction["XYZ".index(n)] < 0.0
+            ]
+            raise ValueError(
+                f"X, Y and Z count left-handed ({', '.join(turned) or 'their order'} against ISO 841). Turn the "
+                "direction of one round, or, if the control counts so, state left_handed: true; an axis that counts "
+                "the motion of the table itself states errors_of: carriage"
+            )
+        return axes
 
     @model_validator(mode="after")
     def _chain_holds_together(self) -> Machine:
@@ -140,7 +161,7 @@ class Machine(FrozenModel):
         if unused:
             raise ValueError(f"axes {', '.join(unused)} are not in the chain")
         for name, axis in self.axes.items():
-            if axis.direction is None and name[0] not in LETTERS and name[0] not in _LIKE:
+            if axis.direction is None and name[0] not in LETTERS and name[0] not in LIKE:
                 raise ValueError(f"axis {name} has no letter of ISO 841; give its direction")
         linear = {n for n, a in self.axes.items() if a.kind == "linear"}
         if self.datum_axes and (set(self.datum_axes) != linear or len(self.datum_axes) != len(linear)):
@@ -178,7 +199,7 @@ class Machine(FrozenModel):
     def direction(self, name: str) -> Vector:
         """Unit vector of an axis in machine coordinates."""
         own = self.axes[name].direction
-        return LETTERS[_LIKE.get(name[0], name[0])] if own is None else own
+        return LETTERS[LIKE.get(name[0], name[0])] if own is None else own
 
     def mount(self) -> Vector:
         """Point the tool is measured from."""

@@ -46,6 +46,7 @@ def random_chain(rng: np.random.Generator) -> Chain:
         {
             "machine": 1,
             "name": "random",
+            "left_handed": True,
             "chain": ["workpiece", *map(str, links), "tool"],
             "axes": axes,
             "spindle": {"position": tuple(rng.uniform(-500, 500, 3)), "growth": True, "tilt": True},

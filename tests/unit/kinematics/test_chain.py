@@ -189,6 +189,19 @@ def test_a_chain_that_does_not_hold_together_is_refused(changes, says):
         three_axes(**changes)
 
 
+def test_axes_that_count_left_handed_are_refused_unless_it_is_stated():
+    """ISO 841; of a lathe whose X points down, Y is turned round with it. A table may count its own motion."""
+    given = {a: {"kind": "linear", "travel": [-500, 500]} for a in "XYZ"}
+    down, back = ({**given["X"], "direction": d} for d in ([-1, 0, 0], [0, -1, 0]))
+    with pytest.raises(ValidationError, match=r"left-handed \(X against ISO 841\)"):
+        three_axes(axes=given | {"X": down})
+    with pytest.raises(ValidationError, match=r"left-handed \(X, Y, Z against"):
+        three_axes(axes={a: {**given[a], "direction": [-float(a == b) for b in "XYZ"]} for a in "XYZ"})
+    three_axes(axes=given | {"X": down}, left_handed=True)
+    three_axes(axes=given | {"X": {**down, "errors_of": "carriage"}})
+    three_axes(axes=given | {"X": down, "Y": back})
+
+
 def test_reversed_travel_is_refused():
     axes = {a: {"kind": "linear", "travel": [500, -500]} for a in "XYZ"}
     with pytest.raises(ValidationError, match="lowest then highest"):

@@ -275,7 +275,7 @@ def too_long(moved, definition, low):
     """20 um too long where X is 500 above `low`, approached from above 4 um more: chain, recording, identification."""
     axes = {a: {"kind": "linear", "travel": [low, low + 500]} for a in "XYZ"}
     axes["X"] |= definition
-    given = {"machine": 1, "name": "m", "chain": AXES[moved], "axes": axes}
+    given = {"machine": 1, "name": "m", "chain": AXES[moved], "left_handed": True, "axes": axes}
     chain = compile_chain(Machine.model_validate(given))
     up = np.linspace(0, 500, 11)
     x, side = np.tile(np.r_[up, up[::-1]], 2), np.tile(np.repeat([1.0, -1.0], 11), 2)
