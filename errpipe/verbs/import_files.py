@@ -36,6 +36,7 @@ from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.header import is_legend, with_legend
 from errpipe.importing.layout import NoReadingError, find_layout, stated_by_name
+from errpipe.importing.logs import add_logs
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
@@ -126,9 +127,7 @@ def _prepared(
     complete = together.concatenate_files([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.separate(complete)
-    for same_layout in together.of_one_log({file: parts[file] for file in logs}):
-        names = together.names_of_files(same_layout, inside)
-        together.add_log(complete, together.concatenate_files([parts[file] for file in same_layout], names), names)
+    add_logs(complete, {file: parts[file] for file in logs}, inside)
     complete.notes[:] = [*notes, *left_out, *complete.notes, *empty]
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
