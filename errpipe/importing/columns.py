@@ -192,6 +192,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "direction", "its values (two signs)"  # `Pass`: forward, return
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(values.known(column)).size <= 2:
         return "ignore", "named as a compensation, but with two values: it states whether one is active"
+    if kind in ("position", "command") and unit is None and values.numbers_targets(column):
+        return "ignore", "the number of a target, not its position"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":

@@ -13,6 +13,7 @@ from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell
 from errpipe.importing.units import unit_of
+from errpipe.importing.words import kind_by_name
 
 NOT_UNDERSTOOD = "a date in an unknown format"
 MIDNIGHT = "T00:00:00"  # how a workbook writes a date without a time of day
@@ -25,6 +26,7 @@ _CLOCK_BEHIND = re.compile(r"\D?\d{1,2}:\d\d")  # a date
 _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
 )
+_NUMBERED_DAY = re.compile(r"^(?:day|tag|jour|giorno|d[ií]a)[ .#]{0,3}(\d{1,4})[ :;-]{1,3}", re.IGNORECASE)
 _COMPACT = re.compile(r"(?:19|20)\d{12}")  # yyyymmddhhmmss, read as a number
 _FIRST_YEAR = 1901  # strptime returns 1900 for a text with only a clock time
 _HALF_A_DAY = 43200.0  # s
@@ -175,8 +177,39 @@ def is_date(text: str) -> bool:
     return _DATE.fullmatch(text) is not None
 
 
+_DIGITS = (("%Y%m%d", "%Y-%m-%d", 8), ("%H%M%S", "%H:%M:%S", 6), ("%H%M", "%H:%M", 4))
+FEWEST_CLOCKS = 6  # rows: fewer whole numbers may read as clock times by chance
+
+
+def _unevenness(steps: np.ndarray) -> float:
+    """The range of the steps of a clock over their median."""
+    return float(np.ptp(steps) / np.median(steps)) if steps.size else 0.0
+
+
+def _from_digits(c: RawColumn) -> RawColumn:
+    """A column of times with `20240503`, or with `93000` for half past nine, as texts with marks; others unchanged.
+
+    Numbers are clock times if all are valid ones and their steps then vary less: not 80, 81 ... 99, 100.
+    """
+    if not c.numeric or c.unit is not None or kind_by_name(c.header) != "time" or not np.isfinite(c.values).all():
+        return c
+    digits = [f"{v:.0f}" if v.is_integer() and 0 <= v < 1e8 else "" for v in c.values.tolist()]
+    for form, written, width in _DIGITS if all(digits) else ():
+        try:
+            times = [datetime.strptime(t.zfill(width) if width < 8 else t, form) for t in digits]
+        except ValueError:
+            continue
+        seconds_on = np.diff([(t - times[0]).total_seconds() for t in times])
+        as_clock, as_number = (_unevenness(steps[steps > 0.0]) for steps in (seconds_on, np.diff(c.values)))
+        dated = width == 8 and all(_FIRST_YEAR <= t.year < 2100 for t in times)
+        if dated or (width < 8 and len(digits) >= FEWEST_CLOCKS and as_clock < 0.5 * as_number):
+            return RawColumn(c.header, None, [f"{t:{written}}" for t in times], np.full(len(times), np.nan))
+    return c
+
+
 def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
-    """A column of dates without a time of day and one of clock times, merged."""
+    """A column of dates without a time of day and one of clock times, merged; of digits alone, with marks."""
+    columns = [_from_digits(c) for c in columns]
     dates = [c for c in columns if not c.numeric and c.texts and all(map(_DATE.fullmatch, c.texts))]
     clocks = [c for c in columns if not c.numeric and c.texts and all(map(_CLOCK.fullmatch, c.texts))]
     if len(dates) != 1 or len(clocks) != 1:
@@ -209,12 +242,22 @@ def _since_first(texts: list[str], forms: tuple[str, ...]) -> tuple[np.ndarray, 
             continue
         if start.year >= _FIRST_YEAR:
             return out, start.isoformat(), form
-        steps = np.flatnonzero(np.diff(out[np.isfinite(out)]) < -_HALF_A_DAY)  # a clock without a date passed midnight
         rows = np.flatnonzero(np.isfinite(out))
-        for step in steps:
-            out[rows[step + 1 :]] += 2.0 * _HALF_A_DAY
+        steps = np.diff(out[rows])
+        day = _HALF_A_DAY if _of_twelve_hours([s for s in stamps if s is not None], steps) else 2.0 * _HALF_A_DAY
+        for step in np.flatnonzero(steps < (0.0 if day == _HALF_A_DAY else -_HALF_A_DAY)):
+            out[rows[step + 1 :]] += day  # a clock without a date passed midnight, or noon
         return out, None, form
     return None
+
+
+def _of_twelve_hours(stamps: list[datetime], steps: np.ndarray) -> bool:
+    """Whether a clock shows 1:00 after 12:55, each time: it has hours 1 to 12, and no word for the afternoon."""
+    usual, back = float(np.median(steps)) if steps.size else 0.0, steps[steps < 0.0]
+    hours = {s.hour for s in stamps}
+    return bool(back.size and min(hours) >= 1 and max(hours) <= 12) and bool(
+        (np.abs(back + _HALF_A_DAY - usual) <= FEW_STEPS * abs(usual)).all()
+    )
 
 
 def _stamp(text: str, form: str) -> datetime:
@@ -226,8 +269,8 @@ def _stamp(text: str, form: str) -> datetime:
 
 
 def _elapsed(texts: list[str]) -> tuple[np.ndarray, str | None, str] | None:
-    """`0 days 00:01:00`, `1.02:00:00`, `25:10:00`: days, hours, minutes and seconds since a start."""
-    parts = [_ELAPSED.fullmatch(t) for t in texts]
+    """`0 days 00:01:00`, `Day 1 08:00`, `1.02:00:00`, `25:10:00`: days, hours, minutes and seconds since a start."""
+    parts = [_ELAPSED.fullmatch(_NUMBERED_DAY.sub(r"\1 ", t)) for t in texts]
     if not all(part or not t for part, t in zip(parts, texts, strict=True)):
         return None
     out = np.array([_seconds_of(part) if part else np.nan for part in parts])

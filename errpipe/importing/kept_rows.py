@@ -12,8 +12,8 @@ from errpipe.importing import dates, wide
 from errpipe.importing.columns import Guesses
 from errpipe.importing.header import is_word
 from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.logs import STALE_STEPS
 from errpipe.importing.proposed import Proposal
-from errpipe.importing.several_files import STALE_STEPS
 from errpipe.importing.sheet import label
 
 

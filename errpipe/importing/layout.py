@@ -29,6 +29,7 @@ from errpipe.importing.sheet import (
     decimal_comma,
     filled_cells,
     is_sexagesimal,
+    label,
     number,
     of_one_mark,
 )
@@ -54,6 +55,7 @@ _PIVOT = re.compile(  # how Excel heads the rows of a pivot table
 )
 _LENGTHS = re.compile(r"(l(ä|ae)nge|length|samples|anzahl|no\. of values)", re.IGNORECASE)  # of columns, above them
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
+_GRID = re.compile(r"\+([-=]{2,}\+){2,}")  # between the rows of a table in reStructuredText
 
 
 class NoReadingError(DataError):
@@ -105,10 +107,7 @@ def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     stated: names of the columns of a file without a header, from the user.
     """
     rows = [row for row in sheet.rows if filled_cells(row) and not _is_rule(row)]
-    if len(rows) > 4 and rows[0][:1] == ["TOA5"]:  # of a data logger: names, units, and how values were sampled
-        units_below = [f" [{u}]" if u not in ("", None, "TS", "RN") else "" for u in rows[2]]
-        rows = [[f"{n}{u}" for n, u in zip(rows[1], units_below, strict=False)], *rows[4:]]
-    rows = _of_a_pivot(rows)
+    rows = _of_a_pivot(_named_by_marks(rows))
     rows, unit_in_cells = _without_units(rows)
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
@@ -131,6 +130,9 @@ def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     if stated:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
+    elif not used and len(names) == 2 and all(map(is_moment, (row[0] for row in rows[start:]))):
+        names[1] = sheet.name  # of a logger with one sensor: `bed_temperature.csv`
+        notes.append(f"the file has no header: its column has the name of the file, {sheet.name!r}")
     elif not used and "column 2" in names:
         notes.append("the file has no header: columns are numbered (--names gives them names)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
@@ -145,6 +147,17 @@ def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
     laid.below = below
     return laid
+
+
+def _named_by_marks(rows: Rows) -> Rows:
+    """The rows with their names first, where marks tell them from types: TOA5 of data loggers, `#NAMES` of Ignition."""
+    first = [label(row[0]) for row in rows[:DEEPEST_HEADER]]
+    if len(rows) > 4 and first[0] == "TOA5":  # names, units, and how values were sampled
+        units_below = [f" [{u}]" if u not in ("", None, "TS", "RN") else "" for u in rows[2]]
+        return [[f"{n}{u}" for n, u in zip(rows[1], units_below, strict=False)], *rows[4:]]
+    if len(rows) > 5 and (first[0], first[2], first[4]) == ("#NAMES", "#TYPES", "#ROWS"):
+        return [rows[1], *rows[5:]]
+    return rows
 
 
 def _of_a_pivot(rows: Rows) -> Rows:
@@ -189,7 +202,9 @@ def axis_of_name(name: str) -> list[str]:
 
 def _is_rule(row: list[Cell]) -> bool:
     """Whether a row is a drawn line, as below the header of a table in Markdown."""
-    return all(isinstance(c, str) and _RULE.fullmatch(c) for c in filled_cells(row)) and len(filled_cells(row)) != 1
+    cells = filled_cells(row)
+    alone = len(cells) == 1 and not _GRID.fullmatch(str(cells[0]))
+    return all(isinstance(c, str) and _RULE.fullmatch(c) for c in cells) and not alone
 
 
 def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[str, ...]:
@@ -199,12 +214,17 @@ def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[st
     return stated
 
 
+def _unit_behind(text: str) -> str | None:
+    """The unit behind a number: `68.2 F` is a temperature, while `Error F` is of a forward pass."""
+    return "degF" if text == "F" else unit_of(text)
+
+
 def _without_units(rows: Rows) -> tuple[Rows, dict[int, str]]:
     """The rows without units after their numbers (`12,5 µm`), and the unit of each column that had one."""
     counts: dict[int, Counter[str]] = {}
     for row in rows[:SAMPLE_ROWS]:
         for i, cell in enumerate(row):
-            if isinstance(cell, str) and (match := NUMBER_AND_UNIT.fullmatch(cell)) and unit_of(match.group(2)):
+            if isinstance(cell, str) and (match := NUMBER_AND_UNIT.fullmatch(cell)) and _unit_behind(match.group(2)):
                 counts.setdefault(i, Counter())[match.group(2)] += 1
     written = {i: c.most_common(1)[0][0] for i, c in counts.items() if len(c) == 1 and c.total() > 2}
     if not written:
@@ -214,7 +234,7 @@ def _without_units(rows: Rows) -> tuple[Rows, dict[int, str]]:
         match = NUMBER_AND_UNIT.fullmatch(cell) if i in written and isinstance(cell, str) else None
         return match.group(1) if match and match.group(2) == written[i] else cell
 
-    units = {i: unit for i, text in written.items() if (unit := unit_of(text)) is not None}
+    units = {i: unit for i, text in written.items() if (unit := _unit_behind(text)) is not None}
     return [[bare(i, cell) for i, cell in enumerate(row)] for row in rows], units
 
 

@@ -9,8 +9,9 @@ from errpipe.importing.sheet import Cell, Sheet, filled_cells, label, number
 from errpipe.importing.units import unit_of
 
 _VALUE = r"[+-]?\s?(?:\d+(?:[.,]\d+)*|[.,]\d+)(?:[eE][+-]?\d+)?"
+_CLOCK = r"(?:(?<=\s\d)|(?<=\s\d\d)):\d\d(?!\d)"  # in `Day 1 20:00`
 _PAIR = re.compile(  # `X_SOLL=1.5`, `RUN*1`, `SOLLWERT X : 1,5 MM`, `#5061=1.5`, `DIR=PLUS`
-    rf"\s*([^\W\d][^=:*]*?|#\d+)\s*[=:*]\s*({_VALUE}|[^\W\d][\w.]*|[+-](?![\w.]))(?:\s*(?!\w+\s*[=:*])([^\W\d]{{1,4}}|\")(?=[\s;,]|$))?[\s;,]*"
+    rf"\s*([^\W\d][^=:*]*?|#\d+)\s*(?!{_CLOCK})[=:*]\s*({_VALUE}|[^\W\d][\w.]*|[+-](?![\w.]))(?:\s*(?!\w+\s*[=:*])([^\W\d]{{1,4}}|\")(?=[\s;,]|$))?[\s;,]*"
 )
 _WORDS = re.compile(rf"\s*([A-Za-z]{{1,12}})\s*({_VALUE})()(?=[\s,;]|$)[\s,;]*")  # `X 1.5, DIAL 0.002`, `B30. C0. X1.5`
 _STAMP = re.compile(  # a time stamp or a counter before the values
@@ -20,6 +21,7 @@ _STAMP = re.compile(  # a time stamp or a counter before the values
 _INDEX = re.compile(r"\[\d+\]$|(?<=#)\d+$")  # `VC[12]`, `#101`: values with an index instead of a name
 _TICKS = re.compile(r"\d{10,19}")  # of a line protocol: the time stamp after all values
 _OF_A_MEASUREMENT = re.compile(r"([^\s,=]+(?:,[^\s,=]+=[^\s,=]+)*) ([^\s,=]+=\S+) (\d{10,19})")
+SAMPLE_ROWS = 500  # evenly over the file
 FEWEST_ROWS = 3  # of a table
 MOSTLY = 0.8  # share of the lines that are names and values; share of the rows that contain a name
 
@@ -29,6 +31,8 @@ def tabled(sheet: Sheet) -> Sheet:
 
     A row ends where the first of the names that occur in every row repeats, in the same line or in a later one.
     """
+    if sheet.header is None and not _may_name_values(sheet):
+        return sheet
     cells = [[label(c) for c in filled_cells(row)] for row in sheet.rows]
     for mark in (" ", ",") if sheet.header is None else ():  # a decimal comma may have split the cells
         lines = [line for row in cells if re.search(r"\w", line := mark.join(row))]
@@ -46,6 +50,13 @@ def tabled(sheet: Sheet) -> Sheet:
             above = [line for line, of_rows in zip(lines, named, strict=True) if not of_rows]
             return _table(sheet, names, [pair for of_line in found for pair in of_line if pair[0] in names], above)
     return sheet
+
+
+def _may_name_values(sheet: Sheet) -> bool:
+    """Whether a sample of the rows has enough lines of names and values: the rows of a long table are not all tried."""
+    sample = [[label(c) for c in filled_cells(row)] for row in sheet.rows[:: max(1, len(sheet.rows) // SAMPLE_ROWS)]]
+    lines = [[line for row in sample if re.search(r"\w", line := mark.join(row))] for mark in (" ", ",")]
+    return any(sum(bool(_pairs(line)) for line in of_mark) >= MOSTLY / 2.0 * len(of_mark) for of_mark in lines)
 
 
 def _of_measurements(sheet: Sheet, lines: list[str]) -> Sheet | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from datetime import datetime, timedelta
@@ -158,6 +159,7 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         if moves is not None and np.unique(moves).size == 2:
             why = "from the order of the positions: +1 where they rise"
             p.put("direction", moves, why, role="direction", axis=axis)
+            _join_passes(p, moves)
     if p.first("run") is None:
         side = p.first("direction")
         runs = sweeps(x, p.data.get(side or ""))
@@ -169,6 +171,19 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
             "targets repeat within a run and no column states from which side: backlash cannot be "
             "distinguished from scatter"
         )
+
+
+def _join_passes(p: Proposal, moves: np.ndarray) -> None:
+    """Give `1L` and `1R` one label, `1`, in place, if all runs have two passes and each mark is one side."""
+    run = p.first("run") or ""
+    parts = [re.fullmatch(r"(\d{1,3})[ ._-]?([^\W\d_]{1,2})", str(v)) for v in p.data.get(run, [""])]
+    labels = [(m[1], m[2]) for m in parts if m]
+    marks = np.array([mark for _, mark in labels])
+    of_mark = {mark: {*moves[marks == mark].tolist()} for mark in {*marks.tolist()}} if len(labels) == p.rows else {}
+    if sorted(map(tuple, of_mark.values())) != [(-1.0,), (1.0,)] or len({*labels}) != 2 * len({r for r, _ in labels}):
+        return
+    p.data[run] = [number for number, _ in labels]
+    p.guesses[run] += f"; {' and '.join(sorted(of_mark))} are the two sides of a run"
 
 
 def sides_of_falling_runs(p: Proposal) -> None:

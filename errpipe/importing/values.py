@@ -61,3 +61,9 @@ def is_scatter(column: RawColumn) -> bool:
     """Whether a column contains a measure of scatter next to readings: `Image RMS`, `U(95) X`, `sigma`."""
     named = re.search(r"\b(rms|rmse|std ?(dev)?|stdev|sigma|noise|scatter|streuung|u ?\(?95)", plain(column.header))
     return named is not None and not bool(np.any(column.values < 0))
+
+
+def numbers_targets(column: RawColumn) -> bool:
+    """Whether a column has whole numbers below `Target No.` or `target_id`: of a list, not in mm."""
+    named = re.search(r"(?:^|[\s.])(?:no|nr|num|number|nummer|id|idx|index|n°|#)\.?$", plain(column.header))
+    return named is not None and bool(np.all(np.round(known(column)) == known(column)))

@@ -18,6 +18,7 @@ from errpipe.importing.words import THERE_AND_BACK, kind_by_name
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"([^\W\d_]*|#) ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
+_RUN_AND_MARK = re.compile(r"\d{1,3}[ ._-]?[rbu]")  # `1 R` beside `1 L`: a pass; `2 s` is twice a standard deviation
 _LETTER_AND_RUN = re.compile(r"[a-z] ?\d+|\d+ ?[a-z]")
 _DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run named by its date
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
@@ -178,6 +179,8 @@ def _positive_side(header: str, headers: set[str]) -> str:
 
 def statistic(name: str) -> bool:
     """Whether a header or the name of a row is that of a statistic over the runs: a mean, a standard deviation."""
+    if _RUN_AND_MARK.fullmatch(guessing.plain(name)):
+        return False
     return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
 
 
@@ -302,7 +305,9 @@ def merged_targets(layout: Layout, guesses: guessing.Guesses) -> Layout:
     at, reading = np.arange(filled.size), np.any(read, axis=0)
     for r in np.flatnonzero(~filled[1:] & reading[1:] & np.isfinite(side[1:])) + 1:
         at[r] = r - 1 if filled[r - 1] and side[r - 1] == -side[r] else r
-    left = ~np.isfinite(place.values[at]) & reading & (np.arange(filled.size) < np.flatnonzero(filled)[-1])
+    of_run = [np.isfinite(c.values) for c in layout.columns if kinds[c.header] == "run" and c.unit is None]
+    within = (np.arange(filled.size) < np.flatnonzero(filled)[-1]) | np.any([~filled & False, *of_run], axis=0)
+    left = ~np.isfinite(place.values[at]) & reading & within
     for r in np.flatnonzero(left):  # `Mean` of each target is not a reading
         left[r] = not any(isinstance(c.cells[r], str) and statistic(str(c.cells[r])) for c in layout.columns)
     if left.sum() > max(1.0, 0.1 * filled.size):

@@ -75,6 +75,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         "ignore",
     ),
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
+    (r"\b(backlash|lost motion|umkehrspann?e|umkehrspiel|jeu a l.inversion|gioco|juego)\b|反向间隙|反向偏差", "ignore"),
     (GROUP, "group"),
     (
         r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\butc\b|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
@@ -92,11 +93,11 @@ WORDS: tuple[tuple[str, str], ...] = (
     ),
     (
         r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|direccion|direcao|kierunek|irany|smer"
-        r"|riktning|richting|方向|방향|направлени\w*)\b",
+        r"|riktning|richting|suunta|方向|방향|направлени\w*|напрям\w*|κατευθυνση)\b",
         "direction",
     ),
     (
-        r"\b(run|lauf|durchlauf|cycle|[zc]yklus|cyclus|ciclo|korning|durchgang|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|회차|^цикл|^проход",
+        r"\b(run|lauf|durchlauf|cycle|[zc]yklus|cyclus|ciclo|korning|durchgang|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|회차|^цикл|^проход|^прохід|^ciclu\b|^ajo\b|^κυκλος",
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
@@ -126,7 +127,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"(deviation|abweich|\babw|error(?! ?(code|id|stat|flag|n[ou]|bit|m|word|text))|err\b"
         r"|fehler(?! ?(code|nr|nummer|text))|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
         r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|\belteres|afvigelse|\bfejl|\bsapma"
-        r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
+        r"|\bhata|\babater[ei]|poikkeama|αποκλιση|偏差|誤差|误差|отклонени|погрешност|ошибк|відхиленн|похибк|오차|편차)",
         "error",
     ),
     (DISPLACEMENT, "error"),
@@ -139,7 +140,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"(target|soll|ziel|nominal|\bdesign\b|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
         r"|kalibrier(wert|ter wert|te laenge|t)$"
         r"|command|\bcmd|\bnoml\b|set ?(point|pos)|\bpos ?set\b|demand|ref(erence)?\b|consign[ea]"
-        r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
+        r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|\btinta\b|kohde|tavoite|στοχος|目標|目标|指令|задан|целев|цільов|목표)",
         "command",
     ),
     (
@@ -160,23 +161,23 @@ WORDS: tuple[tuple[str, str], ...] = (
 
 # Words of a cell or header -> the side from which a target was approached.
 UP = re.compile(
-    r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
-    r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
+    r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(w|waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
+    r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向|去程?|前进|전진"
     r"|прям\w*|вперед|вверх|heen|fram|tam|oda|avant|avanco|subida|salita|dodatni\w*|(w )?przod"
 )
 DOWN = re.compile(
-    r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
+    r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(w|waerts|weg|fahrt)?"
     r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
-    r"|帰り?|反向?|[负負]向?"
+    r"|帰り?|反向?|[负負]向?|回程|后退|후진"
     r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|arriere|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
 )
 
 # Those that mean forward and return pass: if targets fall, the forward pass is from above.
 THERE_AND_BACK = re.compile(
-    r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
-    r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
+    r"fw|fwd|forwards?|vor(w|waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
+    r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(w|waerts|weg|fahrt)?|her(weg|fahrt)?"
     r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza"
-    r"|avance|avanco|avant|arriere|volta|retorno|retroceso|(w )?przod|(w )?tył"
+    r"|avance|avanco|avant|arriere|volta|retorno|retroceso|(w )?przod|(w )?tył|去程?|前进|전진|回程|后退|후진"
 )
 
 # Quantities in a difference, by their order: the command, the machine's own scale, the actual position.

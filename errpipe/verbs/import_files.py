@@ -35,6 +35,7 @@ from errpipe.importing import (
 from errpipe.importing.columns import with_period
 from errpipe.importing.header import is_legend, with_legend
 from errpipe.importing.layout import NoReadingError, find_layout, stated_by_name
+from errpipe.importing.logs import add_logs
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
@@ -126,11 +127,7 @@ def _prepared(
     complete = several_files.concatenate_files([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.separate(complete)
-    for same_layout in several_files.of_one_log({file: parts[file] for file in logs}):
-        names = several_files.names_of_files(same_layout, inside)
-        several_files.add_log(
-            complete, several_files.concatenate_files([parts[file] for file in same_layout], names), names
-        )
+    add_logs(complete, {file: parts[file] for file in logs}, inside)
     complete.notes[:] = [*notes, *left_out, *complete.notes, *empty]
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}

@@ -78,8 +78,11 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     separator = _separator(lines[:SAMPLE_LINES])
     if separator == ",":
         lines = _with_prose_quoted(lines)
-    if separator == " ":
-        cells: Iterable[list[Cell]] = _by_blanks(path, lines)
+    if separator == " " and _quotes_words(lines[:SAMPLE_LINES]):
+        quoted = csv.reader(lines, delimiter=" ", skipinitialspace=True)
+        cells: Iterable[list[Cell]] = ([word for word in row if word] for row in quoted)
+    elif separator == " ":
+        cells = _by_blanks(path, lines)
     else:
         cells = (
             [(text if text[:1] != "=" else _without_formula(text)) or None for text in map(str.strip, row)]
@@ -89,6 +92,7 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
         rows = _bounded(cells, path)
     except csv.Error as err:
         raise DataError(f"{path}: not a table: {err}") from None
+    _name_row_names(rows)
     if separator != " ":
         _refuse_short_rows(path, rows)
     if separator == ",":
@@ -99,6 +103,21 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
         notes += _without_torn_row(rows)
     words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
     return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}", *notes]).limited()]
+
+
+def _quotes_words(lines: list[str]) -> bool:
+    """Whether the lines separate words in quotes by single blanks, as `write.table` of R does."""
+    filled = [line for line in lines if line.strip()]
+    return bool(filled) and all(re.fullmatch(r'("[^"]*"|[^\s"]+)( ("[^"]*"|[^\s"]+))+', x) and '"' in x for x in filled)
+
+
+def _name_row_names(rows: Rows) -> None:
+    """Name the first column, in place, if R wrote its row names 1, 2, 3 ... and no name above them."""
+    width = len(rows[0]) + 1 if rows else 0
+    if width < 3 or len(rows) < MIN_WHOLE_ROWS or any(map(_figure, rows[0])):
+        return
+    if all(len(row) == width and row[0] == str(r) for r, row in enumerate(rows[1:], start=1)):
+        rows[0].insert(0, "No.")
 
 
 def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from errpipe.errors import UsageError, did_you_mean
+from errpipe.importing.readers._workbook_marks import Marks, apply, marks_of
 from errpipe.importing.sheet import ReaderOptions, Rows, Sheet, affordable, cell_of, readable
 
 name = "Excel workbook"
@@ -40,12 +41,16 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
             raise UsageError(f"{path}: no sheet {options.sheet!r} (sheets: {', '.join(names)}).{near}")
         hidden = {s.name for s in book.sheets_metadata if s.visible != SheetVisibleEnum.Visible}
         chosen = [options.sheet] if options.sheet is not None else [n for n in names if n not in hidden]
+        marks = marks_of(path)
         sheets = []
         for each in chosen:
             sheet = book.get_sheet_by_name(each)
             affordable(sheet.total_height * sheet.total_width, f"{path}: {each}")
             rows = [[cell_of(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]
-            sheets.append(Sheet(each, _with_merged_numbers(rows, sheet.merged_cell_ranges)))
+            shown = marks.get(each, Marks())
+            notes = apply(rows, shown, f"{path}: {each}")
+            rows = _with_merged_numbers(rows, sheet.merged_cell_ranges)
+            sheets.append(Sheet(each, rows, notes=notes, above=shown.comments))
     return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
 
 
