@@ -68,7 +68,8 @@ def _of_one_logger(whole: Proposal, part: Proposal) -> bool:
 
 def _written_twice(whole: Proposal, part: Proposal, time: str, times: tuple[np.ndarray, np.ndarray]) -> bool:
     """Whether two logs have times in common, and equal readings at all of these."""
-    _, at, again = np.intersect1d(*(np.round(t, 3) for t in times), return_indices=True)
+    here, there = times
+    _, at, again = np.intersect1d(np.round(here, 3), np.round(there, 3), return_indices=True)
     read = [n for n, v in whole.data.items() if n != time and isinstance(v, np.ndarray)]
     same = (np.array_equal(whole.data[n][at], part.data[n][again], equal_nan=True) for n in read)
     return at.size > 0 and all(same)

@@ -75,10 +75,7 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         return "\n".join([*out, ""])
 
     def family(chosen: Sequence[int]) -> Family:
-        entry = next(s for s in yamlfile.parse(written(chosen)).value["stages"] if s["kind"] == "fit")
-        del entry["kind"]
-        made: Family = FAMILIES[DEFAULT].model_validate(entry)
-        return made
+        return family_of(written(chosen))
 
     heat = (
         cleaned is not None and scheme is not None and forward_selection(cleaned, scheme, family, steps, len(sensors))
@@ -89,6 +86,14 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     why = f"terms of heat: {what} leaves {heat.after:.3g} um with them, {heat.before:.3g} um without temperatures"
     text = f"{flow(heat.scheme.model_dump(exclude_defaults=True))}   # {why}"
     return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + text, written(heat.terms)), [why]
+
+
+def family_of(text: str) -> Family:
+    """The model that the stage `fit` of a pipeline names."""
+    entry = next(s for s in yamlfile.parse(text).value["stages"] if s["kind"] == "fit")
+    del entry["kind"]
+    made: Family = FAMILIES[DEFAULT].model_validate(entry)
+    return made
 
 
 def changing_temperatures(recording: Recording) -> list[str]:
@@ -138,22 +143,22 @@ def forward_selection(
     """
     recording = recording.take(np.arange(len(recording)) % -(-len(recording) // MAX_ROWS) == 0)
     chosen: tuple[int, ...] = ()
-    first = judged = _held_out_residuals(recording, scheme, family(chosen))
+    first = judged = held_out_residuals(recording, scheme, family(chosen))
     while judged is not None:
         wider = {tuple(sorted({*chosen, *step})) for step in steps} - {chosen}
-        tried = {terms: _held_out_residuals(recording, scheme, family(terms)) for terms in sorted(wider)}
+        tried = {terms: held_out_residuals(recording, scheme, family(terms)) for terms in sorted(wider)}
         able = {terms: left for terms, left in tried.items() if left is not None and _on_same_rows(judged, left)}
-        able = {terms: left for terms, left in able.items() if _rms(left) <= (1.0 - MIN_IMPROVEMENT) * _rms(judged)}
+        able = {terms: left for terms, left in able.items() if rms(left) <= (1.0 - MIN_IMPROVEMENT) * rms(judged)}
         while able and not _identifiable(recording, family(_best(able))):
             del able[_best(able)]
         if not able:
             break
         terms = _best(able)
         runs = significance.independent_runs(recording, judged)
-        if _chance(_rms(judged), _rms(able[terms]), runs, len(terms)) > significance.LEVEL / sensors:
+        if _chance(rms(judged), rms(able[terms]), runs, len(terms)) > significance.LEVEL / sensors:
             break
         judged, chosen = able[terms], terms
-    return Heat(scheme, chosen, _rms(first), _rms(judged)) if first and judged and chosen else None
+    return Heat(scheme, chosen, rms(first), rms(judged)) if first and judged and chosen else None
 
 
 def _chance(before: float, after: float, runs: int, terms: int) -> float:
@@ -166,7 +171,7 @@ def _chance(before: float, after: float, runs: int, terms: int) -> float:
     return student_tail(np.sqrt((1.0 - left) * degrees / max(left, 1e-12)), degrees) if degrees > 0 else 1.0
 
 
-def _held_out_residuals(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldOut] | None:
+def held_out_residuals(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldOut] | None:
     """Residuals of every held-out group; None where the model cannot be fitted without one of them."""
     try:
         dated = holdout.with_calendar(recording, scheme.of)
@@ -187,8 +192,8 @@ def _identifiable(recording: Recording, family: Family) -> bool:
 
 def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
     """The fewest terms within TIE_MARGIN of the least held-out rms."""
-    best = min(map(_rms, able.values()))
-    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * best), key=len)
+    best = min(map(rms, able.values()))
+    return min((terms for terms, left in able.items() if rms(left) <= (1.0 + TIE_MARGIN) * best), key=len)
 
 
 def _on_same_rows(without: Sequence[HeldOut], extended: Sequence[HeldOut]) -> bool:
@@ -198,6 +203,6 @@ def _on_same_rows(without: Sequence[HeldOut], extended: Sequence[HeldOut]) -> bo
     )
 
 
-def _rms(folds: Sequence[HeldOut]) -> float:
+def rms(folds: Sequence[HeldOut]) -> float:
     """Root mean square over groups, in the response's unit."""
     return float(np.sqrt(np.mean([f.rms(f.after) ** 2 for f in folds])))

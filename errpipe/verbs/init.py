@@ -131,7 +131,7 @@ def _filled(
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why heat is in it."""
     from errpipe.domain.manifest_text import scalar
     from errpipe.stages.targets import chosen
-    from errpipe.verbs import _init_heat
+    from errpipe.verbs import _init_curve, _init_heat
 
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}"
@@ -164,7 +164,10 @@ def _filled(
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)
     kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
-    text, why = _init_heat.proposed("\n".join([*kept, ""]), facts["recording"] if recording is not None else None)
+    own = facts["recording"] if recording is not None else None
+    text, of_curve = _init_curve.proposed("\n".join([*kept, ""]), own)
+    text, of_heat = _init_heat.proposed(text, own)
+    why = [*of_curve, *of_heat]
     if targets:
         chosen(targets)
         text = re.sub(r"(?m)^(\s*targets: ).*", rf"\g<1>[{', '.join(targets)}]", text)

@@ -238,6 +238,9 @@ def _figure(word: Cell) -> bool:
 
 def _names_with_blanks(line: str, width: int) -> list[Cell]:
     apart = [w for w in re.split(r"\s{2,}|\t", line.strip()) if w]
+    last = apart[-1].strip("[]() ") if len(apart) == width + 1 else ""
+    if unit_of(last):  # of all readings, behind their names: `Target(mm)  Run 1  Run 2  (um)`
+        apart = [n if re.search(r"[\[(]", n) else f"{n} [{last}]" for n in apart[:-1]]
     joined = [w.replace("\0", " ") for w in re.sub(r"\s+(?=[\[(])", "\0", line).split()]
     return [*next((parts for parts in (joined, apart) if len(parts) == width), [line.strip()])]
 

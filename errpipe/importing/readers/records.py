@@ -32,6 +32,7 @@ _SECTION = re.compile(r"(?:\s*[;#].*\n)*\s*\[[^\W\d][^\[\]=]*\]\s*\n")  # the fi
 _BETWEEN = re.compile(r"\s*[;|\t]\s*|,\s+|\s+")  # values of a list; a comma without a blank may be a decimal one
 _OF_PYTHON = re.compile(r"'|\b(?:None|True|False|nan)\b")
 _JSON = {"None": "null", "True": "true", "False": "false", "nan": "NaN"}
+MOST_FACTS, LONGEST_FACT = 4, 30  # entries, and characters of each, that a message repeats
 _NAMES = ("columns", "fields", "header")  # keys of column names stored with rows
 
 
@@ -48,6 +49,18 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     if path.read_bytes()[:6].startswith((_PARQUET, _ARROW)):
         return [_sheet(path.stem, _parquet(path), [], [])]
     return [s for s in _json(path) if options.sheet in (None, s.name)]
+
+
+def _facts(document: Any) -> str:
+    """What a document without a table states, for a message: `units.deviation: thou`."""
+    found, left = list[str](), [("", document)]
+    while left and len(found) < MOST_FACTS:
+        at, value = left.pop(0)
+        if isinstance(value, dict):
+            left = [(f"{at}.{key}".strip("."), v) for key, v in value.items()] + left
+        elif at and isinstance(value, str | int | float):
+            found.append(f"{at}: {str(value)[:LONGEST_FACT]}")
+    return f". It states {', '.join(found)}: state this by the options of `import`" if found else ""
 
 
 def _sheet(name: str, columns: dict[str, list[Cell]], notes: list[str], above: list[str]) -> Sheet:
@@ -99,7 +112,7 @@ def _json(path: Path) -> list[Sheet]:
     if not tables:
         raise DataError(
             f"{path}: JSON or YAML without a table (allowed: one record per line, a list of records, rows or columns, "
-            "also within one object)"
+            f"also within one object){_facts(document)}"
         )
     _, largest = max(tables, key=lambda table: _rows(table[1]))
     alike = [(at, t) for at, t in tables if [*t] == [*largest] and _rows(t) >= FEWEST_ROWS]

@@ -239,3 +239,21 @@ def test_chinese_words_for_there_and_back(tmp_path: Path) -> None:
     values = [[deviation(run, side) for side in (1.0, -1.0)] for run in (1, 2, 3)]
     rows = [f"{x}," + ",".join(str(v[i]) for of_run in values for v in of_run) for i, x in enumerate(TARGETS)]
     holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", ["X轴", head, *rows], "gb18030")))
+
+
+def test_a_unit_behind_the_names_of_a_text_is_that_of_the_readings(tmp_path: Path) -> None:
+    lines = ["X axis positioning"]
+    for title, side in (("FORWARD APPROACH", 1.0), ("REVERSE APPROACH", -1.0)):
+        lines += ["", title, "Target(mm)  Run 1   Run 2   Run 3   (um)"]
+        values = np.stack([TARGETS, *(deviation(run, side) for run in (1, 2, 3))], axis=1)
+        lines += ["".join(f"{v:10.3f}" for v in row) for row in values[:: int(side)]]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.txt", lines)))
+
+
+def test_what_a_file_without_a_table_states_is_repeated(tmp_path: Path) -> None:
+    a_test(tmp_path / "laser")
+    written(tmp_path / "laser" / "meta.json", ['{"axis": "X", "units": {"target": "in", "deviation": "thou"}}'])
+    with pytest.raises(
+        DataError, match=r"It states axis: X, units\.target: in, units\.deviation: thou.*only the files"
+    ):
+        prepared([tmp_path / "laser"])

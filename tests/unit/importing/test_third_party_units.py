@@ -72,7 +72,7 @@ def test_inches_in_quotation_marks(tmp_path: Path) -> None:
         ("Target [mm];Error [mm]", "{x};{e} µm", "its name states mm"),
         ("Target [mm];Error [0.05 µm]", "{x};{e}", "not a known unit"),
         ("Target [mm];Laser 1 [mm];Laser 2 [mm]", "{x};{x}1;{x}2", "both contain actual"),
-        ("tavoite [mm],error [um]", "{x},{e}", "no position is recorded"),
+        ("siht [mm],error [um]", "{x},{e}", "no position is recorded"),
         ("X nom [mm],Y nom [mm],X act [mm],Y act [mm]", "{x},{x},{x}1,{x}2", "move together"),
     ],
 )
