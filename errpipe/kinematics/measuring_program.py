@@ -39,6 +39,7 @@ def program(plan: Plan) -> str:
     name = re.sub(r"[^ -'*-~]", "_", plan.chain.machine.name)
     lines = ["%", f"(measuring plan for {name}: {len(plan.blocks)} blocks, {plan.minutes:.0f} min)", *SET_UP]
     low, high = plan.equipment.reach
+    lines.append(_zone_of_sockets(plan))
     lines += [f"M0 (MSG, for a bar of {low:g} to {high:g} mm: no other)", _retract(plan)]
     before: Block | None = None
     for number, b in enumerate(plan.blocks, start=1):
@@ -49,6 +50,13 @@ def program(plan: Plan) -> str:
         lines += [f"M0 (MSG, detach the bar, block {number})", _retract(plan)]
         before = b
     return "\n".join([*lines, "M2", "%"]) + "\n"
+
+
+def _zone_of_sockets(plan: Plan) -> str:
+    """Where the sockets lie: a table, whose shape is not known, may be above the lowest of them."""
+    ends = [np.min([b.socket for b in plan.blocks], axis=0), np.max([b.socket for b in plan.blocks], axis=0)]
+    zone = " ".join(f"{letter}{low:.3f} to {letter}{high:.3f}" for letter, low, high in zip("XYZ", *ends, strict=True))
+    return f"M0 (MSG, sockets lie from {zone} of the workpiece: compare with the table, which no machine file states)"
 
 
 def _stops_to_place(b: Block, before: Block | None) -> list[str]:

@@ -91,6 +91,7 @@ def checklist(
             "Approach each position from below, then from above, with all axes; put the other axes at mid travel. "
             "The control must apply this correction.",
             _reference_state(table),
+            *_besides_the_files(numbers),
         ]
         unit = "um, deg/1000" if any(map(components.is_rotary, read.axes())) else "um"
         head = f"| axis | over | position | from below, {unit} | from above, {unit} |"
@@ -230,6 +231,15 @@ def _counted_from_start(read: ReadBack, table: CompensationTable) -> list[ByHand
         for x in lines
         if _sample.counts_from_start(table, x.axis, x.sensor)
     ]
+
+
+def _besides_the_files(numbers: Sequence[ByHand]) -> list[str]:
+    """By how much lost motion entered by hand separates the directions: the move list is that of the files alone."""
+    apart: dict[str, float] = {}
+    for c in (number.curve for number in numbers if number.curve is not None):
+        apart[c.axis] = apart.get(c.axis, 0.0) + 1e3 * float(c.up[0] - c.down[0])
+    words = "; ".join(f"{axis} {value:.2f} {loss_unit(axis)}" for axis, value in apart.items() if value)
+    return [f"It is that of the files: lost motion entered by hand adds between both directions {words}."] * bool(words)
 
 
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -91,7 +92,7 @@ class ExportVolumetric(SignOptions, Stage):
         left_out += [component for component in chain.components if component not in factors]
         in_part = {name: factor for name, factor in factors.items() if factor < 1.0}
         note = not_corrected(left_out, in_part)
-        files += write_targets(table, self.targets, context.folder, remarks, note)
+        files += write_targets(table, self.targets, context.folder, remarks, note, partial(_motion, chain))
         facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out, "in_part": in_part, "note": note}
         if self.lattice is not None:
             facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool, axes)
@@ -119,6 +120,17 @@ class ExportVolumetric(SignOptions, Stage):
             v["machine"]["tests"] for v in validations if v.get("machine", {}).get("identification") == fingerprint
         ]
         return machine.pass_gate(document, judged)
+
+
+def _motion(chain: Any, at: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """`_loss.Motion` of a machine; axes without a position stand in the middle."""
+    from errpipe.kinematics import synthesis
+
+    columns = [
+        at.get(axis, np.full(1, middle)) for axis, middle in zip(chain.axes, chain.travel.mean(axis=1), strict=True)
+    ]
+    q = np.stack(np.broadcast_arrays(*columns), axis=1)
+    return chain.machine.correcting_axes(), synthesis.linear_motion(chain, q), synthesis.ideal_pose(chain, q)[:, 0]
 
 
 def not_corrected(names: Sequence[str], in_part: Mapping[str, float]) -> str:

@@ -26,6 +26,9 @@ from errpipe.targets._whole import WholeTable
 
 CHECKLIST = "CHECKLIST.md"
 LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss worth another format, a constant worth naming
+TURNS_THE_PART = (
+    "a part comes out worse once its pose is set: {0}; they correct in part, which turns it: " + ANOTHER_FORMAT
+)
 DIGITS = 6  # of a loss in um: what lies below is rounding, which differs between machines and would fail `verify`
 
 
@@ -170,20 +173,25 @@ def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[st
 
 
 def write_targets(
-    table: CompensationTable, names: Sequence[str], folder: Path, remarks: Sequence[str] = (), note: str = ""
+    table: CompensationTable,
+    names: Sequence[str],
+    folder: Path,
+    remarks: Sequence[str] = (),
+    note: str = "",
+    motion: _loss.Motion | None = None,
 ) -> list[dict[str, Any]]:
     """Write the files of each named target to a separate folder. Raises UsageError for an unknown name.
 
     remarks: comment lines, such as the table's signature, behind the warnings in the table's title; written where a
     format has room for comments.
-    note: a sentence for every checklist.
+    note: a sentence for every checklist. motion: of the machine's linear axes; left out: along X, Y, Z.
     """
     out = []
     targets = with_own_content(table, chosen(list(dict.fromkeys(names))))
     remarks = (*_artefacts.warnings_in(table.title), *remarks)
     for target in targets:
         others = _sibling_names(target, targets)
-        kept, files, worse = _without_harm(table, [target, *chosen(others)])
+        kept, files, worse = _without_harm(table, [target, *chosen(others)], motion)
         files = target.with_remarks(files, remarks)
         read, lost = target.read_back(files), losses(table, target, files)
         for name, text in files.items():
@@ -210,7 +218,7 @@ def write_targets(
 
 
 def _without_harm(
-    table: CompensationTable, parts: Sequence[Any]
+    table: CompensationTable, parts: Sequence[Any], motion: _loss.Motion | None = None
 ) -> tuple[CompensationTable, dict[str, str], list[str]]:
     """The table without axes that the files of these targets together leave worse off, files of the first, remarks.
 
@@ -222,12 +230,15 @@ def _without_harm(
     read += ReadBack(curves=_entered_by_hand(table, parts, files))
     harmed, names = _loss.harmed(table, read), " and ".join(sorted(p.name for p in parts))
     if not harmed:
-        return table, files[0], [f"{names}: {sentence}" for sentence in _loss.worse_than_none(table, read)]
+        said, turning = _loss.worse_than_none(table, read), _loss.turning(table, read, motion)
+        turned = (f"{a} {left:.3g} um rms instead of {round(without, 3):.3g}" for a, (left, without) in turning.items())
+        said += [TURNS_THE_PART.format(", ".join(turned))] if turning else []
+        return table, files[0], [f"{names}: {sentence}" for sentence in said]
     figures = (f"{a} {left:.3g} {loss_unit(a)} rms instead of {without:.3g}" for a, (left, without) in harmed.items())
     sentence = f"{names}: worse with these files than without: {', '.join(figures)}"
     kept = table.model_copy(update={"outputs": tuple(o for o in table.outputs if o.axis not in harmed)})
     try:
-        kept, first, more = _without_harm(kept, parts)
+        kept, first, more = _without_harm(kept, parts, motion)
     except GateError:
         raise GateError(f"{sentence}: {ANOTHER_FORMAT}") from None
     return kept, first, [f"{sentence}; left out of them. To correct it, {ANOTHER_FORMAT}", *more]

@@ -18,7 +18,7 @@ import numpy as np
 from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
-from errpipe.targets._text import plain
+from errpipe.targets._text import ascii_text, plain
 
 Confidence = Literal["verified", "documented", "experimental"]
 # What a format expresses: an axis over its own position (one curve, or one for each direction of travel), an axis over
@@ -265,7 +265,7 @@ class Target:
             form = next((form for end, form in cls.remark.items() if name.endswith(end)), None)
             if form is not None:
                 first, body = files[name].split("\n", 1)
-                out[name] = "\n".join([first, *(form.format(f"{REMARK}{plain(line)}") for line in lines), body])
+                out[name] = "\n".join([first, *(form.format(f"{REMARK}{ascii_text(line)}") for line in lines), body])
         return out
 
     @classmethod

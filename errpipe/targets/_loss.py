@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from errpipe.domain.components import is_rotary
+from errpipe.domain.machine import LETTERS, LIKE
 from errpipe.domain.table import CompensationTable
 from errpipe.fitting.statistics import rms
 from errpipe.guard.in_table import without_guard
@@ -22,8 +23,14 @@ from errpipe.targets._whole import WholeTable
 STATES = 2000  # random states for the rms
 AT_ENDS = 0.3  # share of them at an end of each validity range
 MUCH, LITTLE = 0.05, 0.5  # share, and um: files that are worse than none by less are not remarked (by judgement)
+# Share of `validation.machine.MIN_IMPROVEMENT`, and um that a format may round: more is remarked by `turning`.
+TURNS_BY, ROUNDED = 0.01, 0.1
 UM = 1e3  # per mm (thousandths of a degree per degree)
+CARTESIAN = LETTERS | {letter: LETTERS[LIKE[letter]] for letter in "UVW"}
 Mean = tuple[np.ndarray, float]  # values and a mean of others
+# Positions of axes, each (n,) -> linear axes, motion of the tool point per mm of each (n, 3, axes), and the tool point
+# (n, 3) in mm, in the workpiece's frame.
+Motion = Callable[[Mapping[str, np.ndarray]], tuple[tuple[str, ...], np.ndarray, np.ndarray]]
 
 
 def loss_unit(axis: str) -> str:
@@ -110,6 +117,44 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
             figures = f"{left:.3g} instead of {without:.3g} {loss_unit(axis)} rms"
             worst[axis] = left - without, f"{axis}: {where}: {figures}; they hold the curve of one thermal state"
     return [sentence for _, sentence in worst.values()]
+
+
+def turning(table: CompensationTable, read: ReadBack, motion: Motion | None = None) -> dict[str, tuple[float, float]]:
+    """Linear axis -> rms with and without files, um, of a part in its best-fitting pose, where it is worse with them.
+
+    A part is set up on the machine, which absorbs a rigid motion (ISO 230-1), and axes are set to zero. Files that
+    correct a squareness along one axis only turn the part, and another axis gets worse. motion: of the machine; left
+    out: axes along X, Y, Z, and nothing is said of a table with rotary axes. Temperatures are as usual.
+    """
+    known, outputs = _sample.positions_of(table), _sample.outputs_by_axis(table)
+    along = all(axis[0] in CARTESIAN for axis in (*known, *outputs))
+    if len(known) < 2 or not (motion or along):
+        return {}
+    states, side = _states(table, np.random.default_rng(1))
+    at = {axis: states[known[axis]] if axis in known else np.zeros(STATES) for axis in {**known, **outputs}}
+    usual = {n: np.full(STATES, v) for n, v in _sample.reference_readings(table).items()}
+    axes, per_mm, point = (motion or _cartesian)(at)
+    left, without = np.zeros((2, STATES, len(axes)))
+    for n, axis in enumerate(axes):
+        if axis in outputs:
+            gap, want = _gap(table, read, axis, usual | {name: states[name] for name in known.values()}, side)
+            left[:, n], without[:, n] = gap, -want
+    turns = np.stack([np.cross(about, point - point.mean(axis=0)) for about in np.eye(3)], axis=2)
+    shifts = np.broadcast_to(np.eye(3), (STATES, 3, 3))
+    free = np.concatenate([shifts, turns, per_mm], axis=2).reshape(3 * STATES, -1)
+    both = np.stack([np.einsum("nia,na->ni", per_mm, e).ravel() for e in (left, without)], axis=1)
+    both -= free @ np.linalg.lstsq(free, both, rcond=None)[0]
+    of_axes = np.linalg.pinv(per_mm) @ both.reshape(STATES, 3, 2)
+    sizes = np.sqrt(np.mean(of_axes**2, axis=0))
+    worse = sizes[:, 0] > (1.0 + TURNS_BY) * sizes[:, 1] + ROUNDED
+    return {axis: (float(a), float(b)) for axis, (a, b), w in zip(axes, sizes, worse, strict=True) if w}
+
+
+def _cartesian(at: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """`Motion` of axes along X, Y, Z by their letters."""
+    directions = np.array([CARTESIAN[axis[0]] for axis in at])
+    per_mm = np.broadcast_to(directions.T, (STATES, 3, len(at)))
+    return tuple(at), per_mm, np.stack(list(at.values()), axis=1) @ directions
 
 
 def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:

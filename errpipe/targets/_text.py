@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
@@ -19,6 +20,11 @@ KEPT = " _-.,:+/^"
 def plain(text: str) -> str:
     """A text on one line, each sign that a language could read as its own replaced by a space."""
     return " ".join("".join(c if c.isalnum() or c in KEPT else " " for c in text).split())
+
+
+def ascii_text(text: str) -> str:
+    """`plain` without accents and other scripts: not every control reads them, even in a comment."""
+    return plain(unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode())
 
 
 @cache

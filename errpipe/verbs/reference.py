@@ -222,7 +222,8 @@ stages:
         """\
 For controls engineers. A correction is minus the deviation. Every format states its sign and is read back as \
 the controller reads it; what it cannot express is reported in um, without a constant that setting the zero of a \
-linear axis removes. An axis that files leave further off than none, in the mean of valid states, is left out.
+linear axis removes. An axis that files leave further off than none, in the mean of valid states, is left out. \
+Files that correct in part and turn the part are named: its pose, which the set-up takes, is not counted.
 
 ```yaml
 stages:

@@ -118,6 +118,10 @@ def test_socket_and_ball_are_placed_with_the_tool_retracted(name):
         if "detach the bar" in line:
             assert lines[i + 1] == away
     assert [p for p in lines if p.startswith("G1 ")][-1] == away and lines[-2:] == ["M2", "%"]
+    (zone,) = [re.findall(r"[XYZ](-?[\d.]+)", line) for line in lines if "sockets lie from" in line]
+    low, high = np.array(zone, dtype=float).reshape(3, 2).T
+    sockets = np.array([b.socket for b in proposed.blocks])
+    assert np.allclose(low, sockets.min(axis=0), atol=1e-3) and np.allclose(high, sockets.max(axis=0), atol=1e-3)
     number = proposed.chain.axes.index(away[3])
     q = proposed.chain.travel.mean(axis=1)
     end = q.copy()

@@ -34,6 +34,14 @@ def test_a_checklist_says_the_unit_and_labels_those_of_rotary_axes(target, tmp_p
         assert "deg/1000 rms" in text and "from below, um, deg/1000 |" in text and " um rms" not in text
 
 
+@pytest.mark.parametrize(("name", "added"), [("sinumerik_lec", " X 6.00 um"), ("linuxcnc_screw", "")])
+def test_lost_motion_entered_by_hand_is_added_to_the_points_of_the_files(name, added, tmp_path):
+    stage.write_targets(machines.long_with_lost_motion(), [name], tmp_path)
+    points = (tmp_path / name / stage.CHECKLIST).read_text().partition("## Three-point check")[2]
+    stated = re.search(r"lost motion entered by hand adds between both directions(.*)\.\n", points)
+    assert (stated[1] if stated else "") == added
+
+
 def test_a_checklist_has_no_heading_above_nothing(tmp_path):
     """Nothing can be said to happen over temperatures whose range is not stated."""
     drift = Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 20.0),)))

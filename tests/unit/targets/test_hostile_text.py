@@ -134,6 +134,15 @@ def test_plain_text_holds_no_sign_of_any_language(title):
     assert output.isprintable() and not set(output) & set("\"'\\*?;()[]{}<>%#=&$`|~!@\n")
 
 
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
+def test_a_remark_is_ascii_and_is_taken_off_again(target):
+    files = target.write(machines.sample(target))
+    remarked = target.with_remarks(files, ["signed by J\u00fcrgen \u4f60\u597d: abc"])
+    assert all(text.isascii() for name, text in remarked.items() if files[name].isascii())
+    assert remarked == files or any("signed by Jurgen : abc" in text for text in remarked.values())
+    assert target.without_remarks(remarked) == files
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_table_takes_no_such_name(name):
     data = machines.warm().model_dump()
