@@ -69,7 +69,9 @@ def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
     assert any("along X, about C" in e.name for e in extra)
 
 
-@pytest.mark.parametrize("name", ["cmm", "vertical-centre", pytest.param("gantry", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["cmm", *(pytest.param(m, marks=pytest.mark.slow) for m in ("vertical-centre", "gantry"))]
+)
 def test_a_plan_shows_all_components(name):
     chain = ready(name)
     growth = tuple(c for c in chain.components if c[2:] == "S")
