@@ -74,7 +74,7 @@ def test_the_depth_of_a_worn_stretch_is_that_of_its_deepest_place():
 
 
 @pytest.mark.parametrize("make", [axis, spindle, trace])
-@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_a_perfect_simulation_raises_no_alarm(make, seed):
     response = diagnose(make(seed))[0].responses[0]
     assert response.verdict == "no_mismatch"
