@@ -39,19 +39,17 @@ def print_answer(command: str, answer: Answer | Mapping[str, Any], *, as_json: b
     Of a mapping alone the text is its "says" (lines), or every key with its value.
     """
     if not isinstance(answer, Answer):
-        result = dict(answer)
-        says = result.pop("says", None)
-        lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in result.items()]
-        answer = Answer(result, folded([lines] if isinstance(lines, str) else lines))
-    result, lines, code = answer
+        facts = dict(answer)
+        says = facts.pop("says", None)
+        lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in facts.items()]
+        answer = Answer(facts, folded([lines] if isinstance(lines, str) else lines))
     if as_json:
-        text = jsonfile.dumps(
-            {"errpipe": DOCUMENT, "command": command, "ok": code == 0, "exit_code": code, "result": dict(result)}
-        )
+        head = {"errpipe": DOCUMENT, "command": command, "ok": answer.code == 0, "exit_code": answer.code}
+        text = jsonfile.dumps({**head, "result": dict(answer.result)})
     else:
-        text = "".join(f"{line}\n" for line in lines)
+        text = "".join(f"{line}\n" for line in answer.lines)
     sys.stdout.write(text)
-    return code
+    return answer.code
 
 
 def folded(lines: Iterable[str]) -> list[str]:

@@ -59,7 +59,7 @@ def test_datums_alone_are_no_missing_physics():
     assert effects == [] and response.verdict == "recalibrate"
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_a_cause_that_steps_from_day_to_day_keeps_its_name(seed: int):
     """What creeps on over the days is cheaper as one rate than as ten datums."""
     response, effects = output(mornings(seed, hidden=lambda c: 12 * c["t"] / c["t"].max()))

@@ -42,7 +42,10 @@ def quiet() -> judge.Case:
     return judged(axis(1))
 
 
-@pytest.mark.parametrize("share, memory", [(0.0, 8.0), (0.06, 8.0), (0.12, 5.0), (0.12, 12.0)])
+@pytest.mark.parametrize(
+    "share, memory",
+    [(0.0, 8.0), (0.12, 12.0), *(pytest.param(*p, marks=pytest.mark.slow) for p in ((0.06, 8.0), (0.12, 5.0)))],
+)
 def test_noise_with_a_memory_is_called_structured_no_oftener_than_stated(quiet, share, memory):
     """At the stated rate of 1 % for all tests together: at most 4 of 80 (chance of more: 0.1 %)."""
     rng = np.random.default_rng(7)

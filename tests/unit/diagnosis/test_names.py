@@ -44,7 +44,7 @@ def test_a_hidden_effect_is_named_with_its_size(effect):
     assert response.holdout.rms_after_um < 0.5 * response.holdout.rms_before_um or effect == "sensor_drift"
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7, 2.0])
+@pytest.mark.parametrize("turn", [0.7, *(pytest.param(t, marks=pytest.mark.slow) for t in (0.0, 2.0))])
 def test_a_wave_has_an_amplitude_whatever_its_phase(turn):
     made = axis(8, hidden=lambda c: 1.5 * np.sin(2 * np.pi * c["x"] / 10.0 + turn))
     first = diagnose(made)[0].responses[0].findings[0]
@@ -74,7 +74,7 @@ def test_the_depth_of_a_worn_stretch_is_that_of_its_deepest_place():
 
 
 @pytest.mark.parametrize("make", [axis, spindle, trace])
-@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_a_perfect_simulation_raises_no_alarm(make, seed):
     response = diagnose(make(seed))[0].responses[0]
     assert response.verdict == "no_mismatch"

@@ -195,7 +195,9 @@ def test_shared_evaluation_is_drive(guard):
     np.testing.assert_array_equal(drive_all(parts, failed), expected)
 
 
-@pytest.mark.parametrize("way", trials.WAYS)
+@pytest.mark.parametrize(
+    "way", ["dead", "drift", "swap", *(pytest.param(w, marks=pytest.mark.slow) for w in ("stuck", "step"))]
+)
 def test_compiled_into_a_table_it_says_the_same(guard, way):
     """The guarded rise of a sensor through the Numba cycle, row by row, against the guard's own account."""
     source = d.Input(name="T_bed")

@@ -112,7 +112,7 @@ def test_a_log_of_a_failed_sensor_is_left_out_and_reported(
     assert main(["import", files[-1], "--out", str(tmp_path / "alone"), "--yes"]) == 3
 
 
-@pytest.mark.parametrize(("hour", "said"), [(6, False), (5, True), (7, True)])
+@pytest.mark.parametrize(("hour", "said"), [(6, False), (5, True), pytest.param(7, True, marks=pytest.mark.slow)])
 def test_a_log_of_winter_time_in_summer_is_hinted_at(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], hour: int, said: bool
 ) -> None:

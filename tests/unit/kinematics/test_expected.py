@@ -107,7 +107,9 @@ def test_what_no_reading_knows_of_counts_at_its_prior_spread():
     assert weak.axes["X"].harm > 1e-4 > 1e-6 > sure.axes["X"].harm
 
 
-@pytest.mark.parametrize("machine", ["five-axis-table-table", "five-axis-head-head"])
+@pytest.mark.parametrize(
+    "machine", ["five-axis-table-table", pytest.param("five-axis-head-head", marks=pytest.mark.slow)]
+)
 def test_measurements_are_proposed_next_to_a_bar_that_would_have_no_length(machine):
     """ISO 230-7 bars: a tool moved by 100 mm puts the ball into the socket at some poses."""
     solved, obs = played(machine, "rotary_ballbar", 1)

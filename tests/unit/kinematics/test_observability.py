@@ -69,7 +69,9 @@ def test_a_level_is_offered_for_an_angle_that_circles_cannot_see():
     assert any("along X, about C" in e.name for e in extra)
 
 
-@pytest.mark.parametrize("name", ["cmm", "vertical-centre", pytest.param("gantry", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["cmm", *(pytest.param(m, marks=pytest.mark.slow) for m in ("vertical-centre", "gantry"))]
+)
 def test_a_plan_shows_all_components(name):
     chain = ready(name)
     growth = tuple(c for c in chain.components if c[2:] == "S")
@@ -79,9 +81,13 @@ def test_a_plan_shows_all_components(name):
     assert proposed.minutes < 180
 
 
-def test_a_plan_is_a_program_that_stays_within_travel():
-    chain = ready("cmm")
-    proposed = plan.propose(chain)
+@pytest.fixture(scope="module")
+def cmm_plan():
+    return plan.propose(ready("cmm"))
+
+
+def test_a_plan_is_a_program_that_stays_within_travel(cmm_plan):
+    chain, proposed = ready("cmm"), cmm_plan
     text = measuring_program.program(proposed)
     assert text.startswith("%\n(measuring plan for cmm") and text.endswith("M2\n%\n")
     assert text.count("M0") >= 2 and text.count("G4 P") == sum(len(b.q) for b in proposed.blocks)
@@ -92,12 +98,11 @@ def test_a_plan_is_a_program_that_stays_within_travel():
     assert measuring_program.program(plan.propose(chain)) == text
 
 
-def test_a_planned_test_identifies_the_machine():
+def test_a_planned_test_identifies_the_machine(cmm_plan):
     chain = ready("cmm")
     values = metrology.smooth_machine(chain, 12)
-    proposed = plan.propose(chain)
     runs = [
-        metrology.Run(str(i), b.q, b.length, b.offset, socket=np.array(b.socket)) for i, b in enumerate(proposed.blocks)
+        metrology.Run(str(i), b.q, b.length, b.offset, socket=np.array(b.socket)) for i, b in enumerate(cmm_plan.blocks)
     ]
     test = protocols.observations(chain, metrology.simulate_runs(chain, values, "telescoping_bar", runs, 3))
     fitted = identify.identify(identify.Parametrisation.of(chain), test)

@@ -123,7 +123,13 @@ def test_a_bad_first_reading_weighs_less_in_a_zero_of_more_rows() -> None:
         assert_allclose((responses[0] - responses[1])[~first], moved, atol=1e-9)
 
 
-@pytest.mark.parametrize("family", [Season(component="E_Z"), Lagged(component="E_Z")], ids=["season", "lagged"])
+@pytest.mark.parametrize(
+    "family",
+    [
+        pytest.param(Season(component="E_Z"), id="season", marks=pytest.mark.slow),
+        pytest.param(Lagged(component="E_Z"), id="lagged"),
+    ],
+)
 def test_folds_in_two_threads_are_judged_to_the_bit_as_one_by_one(family, monkeypatch) -> None:
     recording, threads, documents = machine(2, runs=2), set(), []
     judge = type(family).validate_fold
@@ -355,7 +361,7 @@ def test_a_list_of_families_competes(tmp_path) -> None:
         load_pipeline(tmp_path / "p.yaml", STAGES)
 
 
-@pytest.mark.parametrize("family", [Lagged, Neural])
+@pytest.mark.parametrize("family", [Lagged, pytest.param(Neural, marks=pytest.mark.slow)])
 def test_deviations_sampled_less_often_than_temperatures_count_from_the_same_rows(family) -> None:
     """A probe every 30 min: the zero of a run is the mean of its first three touches, for the prediction too."""
     whole = machine(4)

@@ -107,7 +107,7 @@ def test_in_a_competition_it_wins_where_positions_matter():
     assert left(BESIDE, fitted, judged) < 0.3 * left(ALONE, fitted, judged)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3))])
 def test_in_a_competition_it_is_not_chosen_where_it_is_worse(seed):
     """Deviations follow a temperature alone, and every run is warmer than the last: tanh ends where rises go on."""
     whole = recording(bent=0.0, runs=8, seed=seed, warmer=1.5)

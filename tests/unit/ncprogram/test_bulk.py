@@ -116,7 +116,7 @@ def without_refusals(text, limits):
     return text
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", [*range(30), *(pytest.param(s, marks=pytest.mark.slow) for s in range(30, 60))])
 def test_bulk_and_single_blocks_give_the_same(seed, monkeypatch):
     r, text = random.Random(-seed - 1), program(seed)
     limits = {"longest": r.choice([25.0, 5.0, 1.0]), "chord_error": r.choice([0.001, 0.05])}

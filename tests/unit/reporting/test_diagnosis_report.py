@@ -40,7 +40,7 @@ def page(*effects: str) -> str:
     return render(Diagnosis(responses=(response(*effects),)), [trace(*effects)])
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("count", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))])
 def test_each_finding_has_its_own_colour_and_label_in_both_figures(count: int) -> None:
     effects = ("one_effect", "another_effect", "unknown")[:count]
     figures = re.findall(r"<svg.*?</svg>", page(*effects), re.S)

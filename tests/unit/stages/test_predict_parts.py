@@ -65,7 +65,8 @@ def same(one, two):
 
 
 @pytest.mark.parametrize(
-    ("timed", "datum", "short"), [(True, "absolute", 0), (True, "run_start", 10**9), (False, "run_start", 0)]
+    ("timed", "datum", "short"),
+    [(True, "absolute", 0), pytest.param(True, "run_start", 10**9, marks=pytest.mark.slow), (False, "run_start", 0)],
 )
 def test_parts_are_the_whole_to_the_bit(model, recording, timed, datum, short, monkeypatch):
     monkeypatch.setattr(batch, "REPLAYED", short)  # 0: compiled; many: the reference evaluator

@@ -41,9 +41,19 @@ def by_table(table, recording: Recording) -> np.ndarray:
     return since_start(deviation, runs, 3)[0]
 
 
-@pytest.mark.parametrize("kind", [Rises, Season])
-@pytest.mark.parametrize("sensors", [SENSORS, SENSORS[:1]])
-@pytest.mark.parametrize("read", [Recording.each_run_alone, short_gaps_held], ids=["no_reading", "held"])
+READ = {"no_reading": Recording.each_run_alone, "held": short_gaps_held}
+FAST = ((Rises, 1, "held"), (Season, len(SENSORS), "no_reading"))  # the others show the same of other pairs
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensors", "read"),
+    [
+        pytest.param(kind, SENSORS[:count], READ[read], marks=() if (kind, count, read) in FAST else pytest.mark.slow)
+        for kind in (Rises, Season)
+        for count in (1, len(SENSORS))
+        for read in READ
+    ],
+)
 def test_a_held_out_run_by_the_table_has_the_judged_residual(kind, sensors, read):
     recording = sparse(3, sensors)
     family = kind.model_validate({"family": kind.family_name(), "component": "E_Z"})

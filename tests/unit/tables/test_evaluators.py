@@ -104,7 +104,9 @@ def in_blocks(monkeypatch):
     monkeypatch.setattr(batch, "SINGLE", 20)
 
 
-@pytest.mark.parametrize("seed", range(200, 240))
+@pytest.mark.parametrize(
+    "seed", [*range(200, 220), *(pytest.param(s, marks=pytest.mark.slow) for s in range(220, 240))]
+)
 def test_blocks_of_a_calm_recording_are_the_reference_to_the_bit(seed, in_blocks):
     table = everything(seed, 1 + seed % 2)
     columns, time, run = calm_rows(table, seed, 1500)

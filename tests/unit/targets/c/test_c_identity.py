@@ -95,7 +95,9 @@ int load_how(const void *table, size_t size, const uint8_t *named, int any, doub
 """
 
 
-@pytest.mark.parametrize("single", [[], ["-DECT_SINGLE"]], ids=["double", "single"])
+@pytest.mark.parametrize(
+    "single", [pytest.param([], id="double"), pytest.param(["-DECT_SINGLE"], id="single", marks=pytest.mark.slow)]
+)
 def test_a_table_without_a_limit_moves_nothing_unless_it_is_named(tmp_path, single):
     """A correction that follows the position itself, 1 mm per mm: 100 m where nothing limits it, and all at once."""
     (tmp_path / "loaders.c").write_text(LOADERS)

@@ -78,8 +78,13 @@ def library(tmp_path_factory):
     return Library(build(tmp_path_factory.mktemp("c")))
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+@pytest.mark.parametrize(
+    ("compiler", "single"),
+    [
+        *[("clang", False), ("gcc", True)],
+        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in (("clang", True), ("gcc", False))),
+    ],
+)
 def test_compiles_without_a_warning_and_needs_only_memcpy_and_memset(tmp_path, compiler, single):
     if compiler not in COMPILERS:
         pytest.skip(f"{compiler} is not installed")
@@ -264,7 +269,9 @@ def sanitized(folder: Path, tables_, *more: str) -> tuple[Path, list[Path]]:
     return folder / "fuzz", files
 
 
-@pytest.mark.parametrize("more", [(), ("-DECT_SINGLE",)], ids=["double", "single"])
+@pytest.mark.parametrize(
+    "more", [pytest.param((), id="double", marks=pytest.mark.slow), pytest.param(("-DECT_SINGLE",), id="single")]
+)
 def test_damaged_tables_never_read_out_of_bounds(tmp_path, more):
     program, files = sanitized(tmp_path, [everything(s) for s in range(8)], *more)
     output = run(program, *files, 500).stdout
@@ -365,7 +372,9 @@ def test_the_slowest_cycle_stays_below_the_instructions_counted_from_the_table(t
 # The target ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+@pytest.mark.parametrize(
+    "single", [pytest.param(False, id="double"), pytest.param(True, id="single", marks=pytest.mark.slow)]
+)
 def test_the_exported_files_compile_and_move_the_machine_back(tmp_path, single):
     """A machine 10 um too long at +X, whose example reads x = 0 by default: moved to +X in the text."""
     files = CRuntime.write(ten_um_too_long(title="closes */ nothing"))
