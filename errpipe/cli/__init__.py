@@ -1,1 +1,1 @@
-"""The command line: one function per verb, no arithmetic, heavy imports inside the command."""
+"""The command line: one file per verb, no arithmetic, heavy imports inside the command."""

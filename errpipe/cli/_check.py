@@ -10,7 +10,7 @@ from errpipe.errors import ConfigError, Problem
 def check(files: list[Path], data: bool, style: str, as_json: bool) -> int:
     """Check configuration files; returns the exit code. style: text or github. Raises ConfigError in text."""
     from errpipe.cli._deferred import defer_plugins
-    from errpipe.cli.output import Answer, print_answer
+    from errpipe.cli.output import print_result
 
     defer_plugins()
     problems: list[Problem] = []
@@ -23,11 +23,14 @@ def check(files: list[Path], data: bool, style: str, as_json: bool) -> int:
         except ConfigError as err:
             problems += err.problems
     if problems and style == "github":
-        return print_answer("check", Answer({}, map(_github, sorted(problems)), 2), as_json=False)
+        print_result("check", {}, map(_github, sorted(problems)), as_json=False)
+        return 2
     if problems:
         raise ConfigError(problems)
-    lines = [f"{one['file']}: {one['what']}, fine" for one in checked]
-    return print_answer("check", Answer({"files": checked}, lines), as_json=as_json)
+    print_result(
+        "check", {"files": checked}, [f"{one['file']}: {one['what']}, fine" for one in checked], as_json=as_json
+    )
+    return 0
 
 
 def _check(path: Path, data: bool) -> str:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-import keyword
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -12,9 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from errpipe import __version__
-from errpipe.cli._arguments import Json
 from errpipe.cli._names import VERBS
-from errpipe.cli.output import print_answer
 from errpipe.errors import did_you_mean
 
 EXIT_CODES = """
@@ -46,41 +41,17 @@ class _Verbs(TyperGroup):
 
 def verb(name: str) -> Any:
     """The click command of one verb."""
+    module = import_module(f"errpipe.cli.{name.replace('-', '_')}")
     single = typer.Typer(add_completion=False, rich_markup_mode=None)
-    single.command(name)(_printed(name, _function(name)))
+    single.command(name)(module.command)
     command: Any = typer.main.get_command(single)
     command.name = name
     return command
 
 
-def _function(name: str) -> Callable[..., Any]:
-    """The function of a verb, of its name: `plan_day`, `import_`."""
-    function = name.replace("-", "_") + "_" * keyword.iskeyword(name)
-    found: Callable[..., Any] = getattr(import_module(f"errpipe.cli.{VERBS[name]}"), function)
-    return found
-
-
-def _printed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A verb with the option --json, whose answer is printed; a verb without an answer prints by itself."""
-    signature = inspect.signature(function, eval_str=True)
-    if signature.return_annotation is None:
-        return function
-
-    def command(json: bool, **arguments: Any) -> None:
-        if code := print_answer(name, function(**arguments), as_json=json):
-            raise typer.Exit(code)
-
-    option = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=Json, annotation=bool)
-    signature = signature.replace(parameters=[*signature.parameters.values(), option])
-    command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__annotations__ = {n: p.annotation for n, p in signature.parameters.items()}
-    command.__doc__ = function.__doc__
-    return command
-
-
 def first_line(name: str) -> str:
     """The line of a verb in `errpipe --help`."""
-    return str(_function(name).__doc__).split("\n")[0]
+    return str(import_module(f"errpipe.cli.{name.replace('-', '_')}").command.__doc__).split("\n")[0]
 
 
 app = typer.Typer(

@@ -1,9 +1,8 @@
-"""The `errpipe` command: one function per verb in the files of this folder, loaded on demand.
+"""The `errpipe` command: one file per verb in this folder, loaded on demand.
 
-A new verb is one function of its name, and one line in `_names.VERBS`. The function's signature is the
+A new verb is one file with a function `command`, and one word in `_names.VERBS`. The function's signature is the
 verb's arguments (typer), its docstring the help: a first line of at most 70 characters, then a block
-that starts with `Example:`. It returns what is printed, as text or with --json (`output.Answer`), or raises an
-ErrpipeError.
+that starts with `Example:`. A verb returns nothing; it ends with `print_result`, or raises an ErrpipeError.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import typer
 from errpipe.cli._arguments import Json
 
 
-def check(
+def command(
     files: list[Path] = typer.Argument(metavar="FILE...", help="Pipelines, fleets, machines, manifests or folders."),
     data: bool = typer.Option(True, "--data/--no-data", help="Whether the inputs must be there."),
     style: Literal["text", "github"] = typer.Option("text", "--format", help="How problems are printed."),
@@ -25,7 +25,7 @@ def check(
       errpipe check pipelines/ball-screw-axis.yaml
       errpipe check pipelines/ball-screw-axis.yaml --no-data --format github
     """
-    from errpipe.cli import _check
+    from errpipe.cli._check import check
 
-    if code := _check.check(files, data, style, json):
+    if code := check(files, data, style, json):
         raise typer.Exit(code)

@@ -24,7 +24,7 @@ complete -o filenames -F _errpipe errpipe
 """
 
 
-def completion(shell: Literal["bash", "zsh", "fish"] = typer.Argument(help="The shell.")) -> None:
+def command(shell: Literal["bash", "zsh", "fish"] = typer.Argument(help="The shell.")) -> None:
     """Print the shell code that completes verbs and options.
 
     \b

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import typer
 
-from errpipe.cli.output import Answer, module_of
+from errpipe.cli._arguments import Json
+from errpipe.cli.output import module_of, print_answer, print_result
 from errpipe.errors import UsageError
 
 
-def diagnose(
+def command(
     recording: Path = typer.Argument(metavar="RECORDING", help="Folder with a recording manifest."),
     out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for diagnosis.json and report.html."),
     simulation: Path = typer.Option(
@@ -24,7 +23,8 @@ def diagnose(
     against: Path | None = typer.Option(
         None, "--against", metavar="FINDINGS", help="An earlier diagnosis.json: is each effect still there?"
     ),
-) -> Answer | Mapping[str, Any]:
+    json: bool = Json,
+) -> None:
     """Find physical effects in a recording that its simulation lacks.
 
     Compares each error column with its simulated twin; writes diagnosis.json and report.html.
@@ -42,7 +42,15 @@ def diagnose(
         if apply is not None:
             raise UsageError("--apply and --against: one of the two")
         held = module_of("stages.diagnose").against(recording, against, out, simulation)
-        return Answer(held, held.pop("says"), 4 if held["changed"] else 0)
-    with ProgressReporter(str(out)) as reporter:
-        progress = reporter.progress_of("diagnose")
-        return module_of("stages.diagnose").diagnose(recording, out, progress, simulation, apply)
+        code = 4 if held["changed"] else 0
+        says = held.pop("says")
+        print_result("diagnose", held, says, as_json=json, code=code)
+        raise typer.Exit(code)
+    reporter = ProgressReporter(str(out))
+    try:
+        diagnosis = module_of("stages.diagnose").diagnose(
+            recording, out, reporter.progress_of("diagnose"), simulation, apply
+        )
+    finally:
+        reporter.clear()
+    print_answer("diagnose", diagnosis, as_json=json)

@@ -15,7 +15,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 from errpipe import jsonfile
 from errpipe.errors import ConfigError
@@ -25,31 +25,25 @@ WIDTH = 80  # columns of the narrowest terminal that people use
 NARROWEST = 28  # columns in which a sentence can be read
 
 
-class Answer(NamedTuple):
-    """What a verb answers: the result of the JSON document, the lines of text in its place, and the exit code."""
-
-    result: Mapping[str, Any]
-    lines: Iterable[str]
-    code: int = 0
-
-
-def print_answer(command: str, answer: Answer | Mapping[str, Any], *, as_json: bool) -> int:
-    """Print the answer of a verb; returns the exit code.
-
-    Of a mapping alone the text is its "says" (lines), or every key with its value.
-    """
-    if not isinstance(answer, Answer):
-        facts = dict(answer)
-        says = facts.pop("says", None)
-        lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in facts.items()]
-        answer = Answer(facts, folded([lines] if isinstance(lines, str) else lines))
+def print_result(
+    command: str, result: Mapping[str, Any], lines: Iterable[str] = (), *, as_json: bool, code: int = 0
+) -> None:
+    """Print the result of a verb: `lines` of text, or `result` as one JSON document."""
     if as_json:
-        head = {"errpipe": DOCUMENT, "command": command, "ok": answer.code == 0, "exit_code": answer.code}
-        text = jsonfile.dumps({**head, "result": dict(answer.result)})
+        text = jsonfile.dumps(
+            {"errpipe": DOCUMENT, "command": command, "ok": code == 0, "exit_code": code, "result": dict(result)}
+        )
     else:
-        text = "".join(f"{line}\n" for line in answer.lines)
+        text = "".join(f"{line}\n" for line in lines)
     sys.stdout.write(text)
-    return answer.code
+
+
+def print_answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> None:
+    """Print the result of a stage function: its "says" (lines of text), or every key with its value."""
+    result = dict(result)
+    says = result.pop("says", None)
+    lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in result.items()]
+    print_result(command, result, folded([lines] if isinstance(lines, str) else lines), as_json=as_json)
 
 
 def folded(lines: Iterable[str]) -> list[str]:

@@ -36,12 +36,6 @@ class ProgressReporter:
         self.moving = is_interactive(self.stream)
         self._lock = Lock()
 
-    def __enter__(self) -> ProgressReporter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.clear()
-
     def callbacks(self) -> Callbacks:
         return Callbacks(waiting=self._waiting, started=self._started, progress=self._progress, finished=self._finished)
 

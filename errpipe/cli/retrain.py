@@ -7,14 +7,14 @@ from typing import Any
 
 import typer
 
-from errpipe.cli._arguments import PipelineFile, Sets
-from errpipe.cli.output import Answer, module_of
+from errpipe.cli._arguments import Json, PipelineFile, Sets
 from errpipe.errors import UsageError
 
 
 def _read(file: Path, sets: list[str], out: Path) -> Any:
     """The pipeline; where it cannot be read, pages say so in the place of those of the look before."""
     from errpipe.cli._pipeline import load_pipeline_file
+    from errpipe.cli.output import module_of
     from errpipe.errors import ErrpipeError
 
     try:
@@ -25,7 +25,7 @@ def _read(file: Path, sets: list[str], out: Path) -> Any:
         raise
 
 
-def retrain(
+def command(
     pipeline: Path = PipelineFile,
     champion: Path = typer.Option(..., "--champion", metavar="DIR", help="Run folder of the champion."),
     out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder of the challenger and of the decision."),
@@ -43,7 +43,8 @@ def retrain(
     ),
     annotations: str = typer.Option("none", "--annotations", metavar="HOW", help="github: annotate failed gates."),
     sets: list[str] = Sets,
-) -> Answer:
+    json: bool = Json,
+) -> None:
     """Fit to all data; promote only if better than the model in use.
 
     Exit code 0: promote; 4: keep the champion. Every new run counts once, so it may be run as often as there is data.
@@ -52,14 +53,15 @@ def retrain(
     Example:
       errpipe retrain axis/pipeline.yaml --champion out/champion --out out/retrain
     """
+    from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
 
     if annotations not in ("none", "github"):
         raise UsageError(f"--annotations: {annotations!r} is not known (allowed: none, github)")
     spec = _read(pipeline, sets, out)
-    work = module_of("verbs.retrain")
-    with ProgressReporter(str(out)) as reporter:
-        document = work.retrain(
+    reporter = ProgressReporter(str(out))
+    try:
+        document = module_of("verbs.retrain").retrain(
             spec,
             champion,
             out,
@@ -69,7 +71,13 @@ def retrain(
             allowed_sensors=allow_sensor,
             callbacks=reporter.callbacks(),
         )
-    lines = [*work.in_words(document), str(out / "retrain.md")]
+    finally:
+        reporter.clear()
+    promoted = document["decision"] == "promote"
+    lines = module_of("verbs.retrain").in_words(document)
+    lines.append(str(out / "retrain.md"))
     if annotations == "github":
-        lines = [*work.github_annotations(document), *lines]
-    return Answer(document, lines, 0 if document["decision"] == "promote" else 4)
+        lines = [*module_of("verbs.retrain").github_annotations(document), *lines]
+    print_result("retrain", document, lines, as_json=json, code=0 if promoted else 4)
+    if not promoted:
+        raise typer.Exit(4)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from errpipe import jsonfile
-from errpipe.cli._arguments import Force, Out, PipelineFile, Sets, To, output_folder
-from errpipe.cli.output import Answer, module_of, short_value
+from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To, output_folder
+from errpipe.cli.output import module_of, print_result, short_value
 from errpipe.errors import ConfigError, DataError, GateError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 FOR_PEOPLE = (".html", "CHECKLIST.md")  # ends of files that are named at the end: what to look at, and to do next
 
 
-def run(
+def command(
     pipeline: Path = PipelineFile,
     out: Path | None = Out,
     to: str | None = To,
@@ -37,7 +37,8 @@ def run(
     stamp: Path | None = typer.Option(
         None, "--stamp", metavar="FILE", help="At the end touch this file, with the time when the run began."
     ),
-) -> Answer:
+    json: bool = Json,
+) -> None:
     """Bring the outputs of a pipeline up to date.
 
     Only stages run whose inputs, parameters, code or outputs differ from those of the last run.
@@ -72,7 +73,7 @@ def run(
         if s.summary
     ]
     pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(FOR_PEOPLE)]
-    return Answer(result, [*lines, *pages])
+    print_result("run", result, [*lines, *pages], as_json=json)
 
 
 def _entry_text(key: str, value: str) -> str:

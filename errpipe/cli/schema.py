@@ -21,7 +21,7 @@ MODELS = {
 WRITTEN = ("pipeline", "recording", "machine", "fleet")  # by people, in YAML; the others are JSON
 
 
-def schema(
+def command(
     name: str = typer.Argument("pipeline", metavar="[NAME]", help=f"One of: {', '.join(MODELS)}."),
     write: Path | None = typer.Option(None, "--write", metavar="DIR", help="Write all schemas into DIR instead."),
 ) -> None:

@@ -137,7 +137,7 @@ def turning(table: CompensationTable, read: ReadBack, motion: Motion | None = No
     left, without = np.zeros((2, STATES, len(axes)))
     for n, axis in enumerate(axes):
         if axis in outputs:
-            gap, want = _gap(table, read, axis, usual | {name: states[name] for name in known.values()}, side)
+            gap, want = _difference(table, read, axis, usual | {name: states[name] for name in known.values()}, side)
             left[:, n], without[:, n] = gap, -want
     turns = np.stack([np.cross(about, point - point.mean(axis=0)) for about in np.eye(3)], axis=2)
     shifts = np.broadcast_to(np.eye(3), (STATES, 3, 3))

@@ -84,7 +84,7 @@ KINDS = (
 
 
 # Files whose texts give examples to people: help and pages of the documentation.
-EXAMPLES = ("cli/reference.py", "cli/controllers.py", "verbs/reference.py")
+EXAMPLES = ("cli/formats.py", "cli/targets.py", "verbs/reference.py")
 
 
 @cache

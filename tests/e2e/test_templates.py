@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from errpipe import jsonfile
-from errpipe.cli import pipelines
+from errpipe.cli import init as verb
 from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
 from errpipe.verbs.init import TEMPLATES
 
 
 def test_the_help_lists_every_template() -> None:
-    assert ", ".join(TEMPLATES) == pipelines.TEMPLATES
+    assert ", ".join(TEMPLATES) == verb.NAMES
 
 
 @pytest.mark.parametrize("name", TEMPLATES)

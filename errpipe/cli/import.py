@@ -11,11 +11,11 @@ from typing import Literal
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import Answer, folded, module_of, print_answer
+from errpipe.cli.output import folded, module_of, print_result
 from errpipe.errors import DataError, UsageError
 
 
-def import_(
+def command(
     context: typer.Context,
     files: list[Path] = typer.Argument(
         metavar="FILE...", help="A folder, zip, CSV, Excel, TDMS, HDF5, MAT, XML, halsampler, ..."
@@ -70,7 +70,7 @@ def import_(
         _confirm(lines, asked=not json)
     done = work.write(proposal, out, options, files, overwrite)
     says = [*(lines if yes else ()), *done["says"]]
-    print_answer("import", Answer({**work.plain(shown), "folder": str(out)}, says), as_json=json)
+    print_result("import", {**work.plain(shown), "folder": str(out)}, says, as_json=json)
 
 
 def _repeat_command(question: str, context: typer.Context) -> str:

@@ -1,11 +1,9 @@
-"""Verbs that bring a table to a controller, or into an NC program."""
+"""`errpipe correct`."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -13,66 +11,7 @@ from errpipe.cli._arguments import At, Json, input_values
 from errpipe.cli.output import folded, module_of, print_answer, short_value
 
 
-def export(
-    table: list[Path] = typer.Argument(
-        metavar="TABLE...", help="A compensation table (.ect or its JSON twin); tables of several axes become one."
-    ),
-    target: list[str] = typer.Option(..., "--target", metavar="NAME", help="Controller format. Repeatable."),
-    out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for the controller's files."),
-    limit: float | None = typer.Option(
-        None,
-        "--limit",
-        metavar="UM",
-        min=0.001,
-        help="Largest plausible correction; default: 0.5 mm or 1/1000 of the travel.",
-    ),
-    allow: list[str] = typer.Option(
-        [], "--allow", metavar="NAME", help="Name of an implausible declaration that is correct. Repeatable."
-    ),
-    public_key: Path | None = typer.Option(
-        None, "--public-key", metavar="FILE", help="Require a table signed by this key."
-    ),
-) -> Mapping[str, Any]:
-    """Convert a compensation table to the files of a controller.
-
-    \b
-    Example:
-      errpipe export axis/out/export/table.ect --target linuxcnc_screw --out pc
-      errpipe export x/table.ect y/table.ect --target fanuc_pitch --out machine
-    """
-    return module_of("stages.targets").export(table, target, out, allow, limit, public_key)
-
-
-def targets(
-    name: str = typer.Argument("", metavar="[NAME]", help="One format, such as linuxcnc_screw."),
-) -> Mapping[str, Any]:
-    """List the controller formats, or show the page of one.
-
-    \b
-    Example:
-      errpipe targets
-      errpipe targets linuxcnc_screw
-      errpipe targets --json
-    """
-    if name:
-        page = module_of("verbs.reference").entry("targets", name)
-        return {"target": name, "says": [page.rstrip()]}
-    return module_of("stages.targets").targets()
-
-
-def compare_targets(
-    table: Path = typer.Argument(metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
-) -> Mapping[str, Any]:
-    """Show what each controller format cannot express of a table, in um.
-
-    \b
-    Example:
-      errpipe compare-targets out/axis/export/table.ect
-    """
-    return module_of("stages.targets").compare_targets(table)
-
-
-def correct(
+def command(
     program: Path = typer.Argument(metavar="PROGRAM", help="An NC program (RS-274, the LinuxCNC dialect)."),
     table: Path = typer.Option(..., "--table", metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
     out: Path | None = typer.Option(None, "--out", metavar="FILE", help="Where to write; default: standard output."),
