@@ -18,8 +18,9 @@ Replacement of a failed reading:
 
     r_i = x_i - sum v_ij x_j, minus its value at the start    residual of the best estimate of changes within a shift
     m_i = lag(r_i, settle) when the largest s^2 was last below QUIET_SHARE and x_i changed
-    guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, continued
-               by its estimate from the others. Exact for two failed sensors, approximate for more (frozen)
+    guarded reading = x_i - q_i f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, continued
+               by its estimate from the others; q_i is fault_i, through a lag of a minute unless a jump is flagged.
+               Exact for two failed sensors, approximate for more (frozen)
 
 The correction fades to zero (`trust`) if more than `most_failed` sensors have failed, or if one has whose
 replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
@@ -28,6 +29,7 @@ sensor that a rule flags fades the correction.
 Sensors beyond those that are compared are kept consistent with them. With b = x_k - sum v_kj (guarded reading of j),
 minus its value at the start, the reading counts as x_k + clip(b, -within, within) - b: unchanged in conditions like
 those of the recording; frozen, lost, jumped or drifting, it is wrong by at most about `within`. No state, no decision.
+Where a table has no room for that, those of little influence are held: without a reading they keep the last one.
 
 A sensor without a reading when the run starts: lags and rises of the others count from the start. Its own rise
 counts from the reading that it usually has at a start, by those of the others, if that is known much better than the
@@ -94,14 +96,16 @@ class KeptSensor(FrozenModel):
 
 
 class SensorGuard(FrozenModel):
-    """Format version 5. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
+    """Format version 6. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
 
-    sensor_guard: Literal[5] = 5
+    sensor_guard: Literal[6] = 6
     sensors: tuple[GuardedSensor, ...]
     kept: tuple[KeptSensor, ...] = ()
+    held: tuple[str, ...] = Field((), description="Neither: a lost one keeps its last reading, and nothing fades.")
     threshold: float = Field(1.0, gt=0, description="Of the standardised residual; reached at the stated rate.")
     horizon_s: float = Field(gt=0, description="Time constant of the test's high-pass filter.")
     settle_s: float = Field(gt=0, description="Time constant of the latched residual.")
+    switch_s: float | None = Field(None, gt=0, description="Time constant of a change to a replacement; none: at once.")
     most_failed: int = Field(1, ge=0, description="Largest number of failed sensors; above it the correction fades.")
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
     hours: float = Field(description="Hours of healthy readings behind the thresholds.")

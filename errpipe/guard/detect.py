@@ -24,8 +24,13 @@ shared = lru_cache(maxsize=256)
 
 @shared
 def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """s: leave-one-sensor-out residuals of the recent changes, in thresholds."""
-    inputs = [d.Input(name=n) for n in guard.names()]
+    """s: leave-one-sensor-out residuals of the recent changes, in thresholds.
+
+    All changes count from the last of the first readings on: a sensor that is late would lack what the others have.
+    """
+    read = [d.Input(name=n) for n in guard.names()]
+    all_read = d.Affine(weights=(0.0,) * len(read), of=tuple(read))
+    inputs = [d.Affine(weights=(1.0, 1.0), of=(x, all_read)) for x in read]
     recent = tuple(d.Affine(weights=(1.0, -1.0), of=(x, c.lag(x, guard.horizon_s))) for x in inputs)
     out = []
     for i, sensor in enumerate(guard.sensors):
@@ -111,6 +116,21 @@ def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
     if not guard.compares:
         return tuple(c.any_of(flag) for flag in _by_itself(guard))
     return tuple(c.any_of(*pair) for pair in zip(_by_itself(guard), isolated(guard), strict=True))
+
+
+@shared
+def replaced(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """Share of a reading that is replaced: 1 at once where it jumps, else gradually, and gradually back.
+
+    A fault that was not seen at once has moved the correction already: replaced in one cycle, it steps.
+    """
+    if not guard.compares or guard.switch_s is None:  # the last trusted reading stands in while the correction fades
+        return faults(guard)
+    out = []
+    for i, (sensor, failed) in enumerate(zip(guard.sensors, faults(guard), strict=True)):
+        jumped = (flags(guard, r.rule)[i] for r in sensor.rules if r.at_once)
+        out.append(c.any_of(*jumped, c.lag(failed, guard.switch_s)))
+    return tuple(out)
 
 
 @shared
