@@ -5,7 +5,7 @@ python -m trials.faults_in_use [--seed 1] [--machines gantry,grinder] [--json FI
 Ten days of each machine of `shop_floor` are fitted and exported by the public commands; the table then runs an
 eleventh day cycle by cycle, as a controller does, with a fault from the third hour on. Faults of one sensor are
 applied to each in turn, and the worst counts. The kernels run the table: the C runtime and the function blocks give
-their bits (`tests/faults/test_in_use.py`). Ends with 1 where a fault leaves more than no compensation.
+their bits (`tests/faults`). Ends with 1 where a fault leaves more than no compensation.
 """
 
 from __future__ import annotations

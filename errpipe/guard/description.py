@@ -18,9 +18,8 @@ Replacement of a failed reading:
 
     r_i = x_i - sum v_ij x_j, minus its value at the start    residual of the best estimate of changes within a shift
     m_i = lag(r_i, settle) when the largest s^2 was last below QUIET_SHARE and x_i changed
-    guarded reading = x_i - q_i f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, continued
-               by its estimate from the others; q_i is fault_i, through a lag of a minute unless a jump is flagged.
-               Exact for two failed sensors, approximate for more (frozen)
+    guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, continued
+               by its estimate from the others. Exact for two failed sensors, approximate for more (frozen)
 
 The correction fades to zero (`trust`) if more than `most_failed` sensors have failed, or if one has whose
 replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
@@ -105,7 +104,6 @@ class SensorGuard(FrozenModel):
     threshold: float = Field(1.0, gt=0, description="Of the standardised residual; reached at the stated rate.")
     horizon_s: float = Field(gt=0, description="Time constant of the test's high-pass filter.")
     settle_s: float = Field(gt=0, description="Time constant of the latched residual.")
-    switch_s: float | None = Field(None, gt=0, description="Time constant of a change to a replacement; none: at once.")
     most_failed: int = Field(1, ge=0, description="Largest number of failed sensors; above it the correction fades.")
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
     hours: float = Field(description="Hours of healthy readings behind the thresholds.")

@@ -119,21 +119,6 @@ def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
-def replaced(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """Share of a reading that is replaced: 1 at once where it jumps, else gradually, and gradually back.
-
-    A fault that was not seen at once has moved the correction already: replaced in one cycle, it steps.
-    """
-    if not guard.compares or guard.switch_s is None:  # the last trusted reading stands in while the correction fades
-        return faults(guard)
-    out = []
-    for i, (sensor, failed) in enumerate(zip(guard.sensors, faults(guard), strict=True)):
-        jumped = (flags(guard, r.rule)[i] for r in sensor.rules if r.at_once)
-        out.append(c.any_of(*jumped, c.lag(failed, guard.switch_s)))
-    return tuple(out)
-
-
-@shared
 def trust(guard: SensorGuard) -> d.Driver:
     """1 while the readings, or their replacements, are usable; else it fades to 0."""
     failed = faults(guard)

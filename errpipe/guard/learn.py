@@ -24,7 +24,6 @@ from errpipe.guard.rules import FALSE_ALARMS, RULES, activity_of
 # healthy in 60 failures: horizon 0.75 h 1.4, 1 h 1.38, 1.5 h 1.29, 2 h 2.1; settle 15 min 1.38, 30 min 1.29, 1 h 1.36.
 HORIZON_S = 5400.0
 SETTLE_S = 1800.0
-SWITCH_S = 60.0  # to a replacement and back: 8 um within a second otherwise, on a grinder (by judgement)
 RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: steps of half a decade
 MAX_CORRELATION = 0.8  # largest share of a fault in another sensor's residual; above it, noise selects the wrong sensor
 SELECTION_MARGIN = 1.1  # factor: the lowest of many thresholds is biased low
@@ -82,7 +81,6 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None, others: Se
         threshold=test.threshold,
         horizon_s=HORIZON_S,
         settle_s=SETTLE_S,
-        switch_s=SWITCH_S,
         most_failed=min(2, len(names) - 1),
         false_alarms=FALSE_ALARMS,
         hours=hours,

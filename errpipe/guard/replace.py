@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
-from errpipe.guard.detect import TIE_TOLERANCE, all_normal, faults, replaced, shared, trust
+from errpipe.guard.detect import TIE_TOLERANCE, all_normal, faults, shared, trust
 from errpipe.guard.rules import activity
 
 NEWLY_S = 60.0  # well below the time constant of a body, above the reading interval of a logger (by judgement)
@@ -139,7 +139,7 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """Per sensor the reading while it is accepted, else its replacement."""
     failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
-    weights, share, out = [s.estimate for s in guard.sensors], replaced(guard), []
+    weights, out = [s.estimate for s in guard.sensors], []
     for i, name in enumerate(guard.names()):
         fault, others = gone[i], [j for j in range(len(gone)) if j != i]
         if guard.most_failed > 1:
@@ -148,7 +148,7 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
             own = d.Affine(offset=1.0, weights=through, of=tuple(failed[j] for j in others))
             shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
             fault = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
-        out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(share[i], fault)))))
+        out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
 
 

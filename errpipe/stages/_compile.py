@@ -59,14 +59,12 @@ def compile_model(
     recording: how fast its sensors and axes moved limits readings and corrections.
     """
     # A table may have no room for a node more for each lag: these then start with the last sensor, as they do where
-    # nothing estimates what a late one missed (grinding spindle of an own generator: 1.44 um instead of 2.20); or for
-    # replacing readings gradually.
+    # nothing estimates what a late one missed (grinding spindle of an own generator: 1.44 um instead of 2.20).
     estimates = guard is not None and (guard.compares or any(s.start is not None for s in guard.sensors))
-    at_once = guard and guard.model_copy(update={"switch_s": None})
-    forms = ((guard, True), (at_once, True), (at_once, False)) if estimates else ((guard, False),)
-    for form, apart in forms:
+    forms = (True, False) if estimates else (False,)
+    for apart in forms:
         try:
-            return _table_of(model, options, form, recording, apart)
+            return _table_of(model, options, guard, recording, apart)
         except ValidationError as err:
             problem = err
     raise GateError(f"export: no table holds this model: {problem.title} {first_problem(problem)}") from None

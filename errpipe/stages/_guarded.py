@@ -33,7 +33,6 @@ MAX_COMPARED, MAX_INDIVIDUAL = 6, 15  # compared with each other; monitored indi
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
 # per sensor monitored individually; without those of the rules.
 NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 49, 18, 18
-NODES_GRADUAL = 3  # per compared sensor, where there is room for replacing it gradually
 NODES_KEPT = 6  # per sensor that is kept consistent with those that are compared
 MAX_COST = 0.03  # relative increase of the held-out residual with healthy sensors
 # Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
@@ -150,8 +149,7 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
     others = {n: of for n, of in influence.items() if n not in names}
     lags = sum(isinstance(n, LagNode) for n in baseline.plain.nodes)  # a node more for each
-    room = free - lags - NODES_GRADUAL * len(names)
-    kept = _most(others, max(room // NODES_KEPT, 0)) if len(names) > 1 else ()
+    kept = _most(others, max((free - lags) // NODES_KEPT, 0)) if len(names) > 1 else ()
     unmonitored = {n: of for n, of in others.items() if n not in kept}
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]

@@ -23,7 +23,6 @@ class Rule(FrozenModel, ABC):
     rule: str
     symptom: ClassVar[str]  # continues the sentence `a temperature that ...`
     nodes: ClassVar[int]  # operations that it adds to a table for each sensor
-    at_once: ClassVar[bool] = False  # whether it flags a fault when it begins; else the reading was wrong before
 
     @classmethod
     @abstractmethod

@@ -25,7 +25,6 @@ class SuddenChange(Rule):
     jump: float = Field(gt=0, description="Largest distance of a healthy reading from its lag of `freeze`, K.")
     symptom: ClassVar[str] = "jumps by several kelvin"
     nodes: ClassVar[int] = 1  # besides those of the activity
-    at_once: ClassVar[bool] = True
 
     @classmethod
     def learn(cls, rows: HealthyReadings, i: int, per_hour: float) -> SuddenChange:
