@@ -28,6 +28,7 @@ sensor that a rule flags fades the correction.
 Sensors beyond those that are compared are kept consistent with them. With b = x_k - sum v_kj (guarded reading of j),
 minus its value at the start, the reading counts as x_k + clip(b, -within, within) - b: unchanged in conditions like
 those of the recording; frozen, lost, jumped or drifting, it is wrong by at most about `within`. No state, no decision.
+Where a table has no room for that, those of little influence are held: without a reading they keep the last one.
 
 A sensor without a reading when the run starts: lags and rises of the others count from the start. Its own rise
 counts from the reading that it usually has at a start, by those of the others, if that is known much better than the
@@ -94,11 +95,12 @@ class KeptSensor(FrozenModel):
 
 
 class SensorGuard(FrozenModel):
-    """Format version 5. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
+    """Format version 6. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
 
-    sensor_guard: Literal[5] = 5
+    sensor_guard: Literal[6] = 6
     sensors: tuple[GuardedSensor, ...]
     kept: tuple[KeptSensor, ...] = ()
+    held: tuple[str, ...] = Field((), description="Neither: a lost one keeps its last reading, and nothing fades.")
     threshold: float = Field(1.0, gt=0, description="Of the standardised residual; reached at the stated rate.")
     horizon_s: float = Field(gt=0, description="Time constant of the test's high-pass filter.")
     settle_s: float = Field(gt=0, description="Time constant of the latched residual.")

@@ -24,8 +24,13 @@ shared = lru_cache(maxsize=256)
 
 @shared
 def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """s: leave-one-sensor-out residuals of the recent changes, in thresholds."""
-    inputs = [d.Input(name=n) for n in guard.names()]
+    """s: leave-one-sensor-out residuals of the recent changes, in thresholds.
+
+    All changes count from the last of the first readings on: a sensor that is late would lack what the others have.
+    """
+    read = [d.Input(name=n) for n in guard.names()]
+    all_read = d.Affine(weights=(0.0,) * len(read), of=tuple(read))
+    inputs = [d.Affine(weights=(1.0, 1.0), of=(x, all_read)) for x in read]
     recent = tuple(d.Affine(weights=(1.0, -1.0), of=(x, c.lag(x, guard.horizon_s))) for x in inputs)
     out = []
     for i, sensor in enumerate(guard.sensors):

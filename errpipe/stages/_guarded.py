@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -13,7 +13,7 @@ import numpy as np
 from errpipe.domain.components import unit
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
-from errpipe.domain.table import MAX_NODES
+from errpipe.domain.table import MAX_NODES, LagNode
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.statistics import rms
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MAX_COMPARED, MAX_INDIVIDUAL = 6, 15  # compared with each other; monitored individually
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
 # per sensor monitored individually; without those of the rules.
-NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 48, 17, 18
+NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 49, 18, 18
 NODES_KEPT = 6  # per sensor that is kept consistent with those that are compared
 MAX_COST = 0.03  # relative increase of the held-out residual with healthy sensors
 # Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
@@ -44,6 +44,7 @@ COARSEST_S = 30.0  # largest s between remaining rows: a tenth of the time in wh
 MAX_BATCHES = 6  # of held-out runs: each needs a separate guard
 MAX_TITLE = 127  # characters, of a table
 MONITORED_ALONE = "temperatures monitored individually"
+MAX_HELD = 1.0  # of the uncompensated rms: sum of the largest changes by held temperatures (by judgement)
 KEPT = "limited to the difference from these that the recording shows"
 NOT_MONITORED = "temperatures not monitored"
 Fold = tuple[np.ndarray, SensorGuard]  # rows of a group, and the guard that was learnt without them
@@ -143,10 +144,13 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     max_count = min(MAX_COMPARED, (baseline.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
     if max_count < 2:
         return _one_by_one(baseline, held, "the table has too few free nodes for a comparison", scheme)
-    names = _most_effective(baseline, held, max_count)
-    others = [n for n in sensors_read(baseline.plain, held) if n not in names]
+    influence = _influences(baseline, held)
+    names = _most(influence, max_count)
     free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
-    kept = tuple(others) if len(names) > 1 and len(others) * NODES_KEPT <= free else ()
+    others = {n: of for n, of in influence.items() if n not in names}
+    lags = sum(isinstance(n, LagNode) for n in baseline.plain.nodes)  # a node more for each
+    kept = _most(others, max((free - lags) // NODES_KEPT, 0)) if len(names) > 1 else ()
+    unmonitored = {n: of for n, of in others.items() if n not in kept}
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
@@ -154,37 +158,65 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     except DataError as why:
         return _one_by_one(baseline, held, str(why), scheme)
     guard, accuracy = _with_substitutes(baseline, held, guard, folds)
-    guard, cost = _affordable(baseline, held, guard, folds)
+    guard, cost = _affordable(baseline, held, guard.model_copy(update={"held": _of_little(unmonitored)}), folds)
     if cost > MAX_COST:
         return _one_by_one(
             baseline, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
         )
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
     document |= {"accuracy": accuracy, "kept_within_K": {s.name: s.within for s in guard.kept}}
-    fading = [s.name for s in guard.sensors if not s.stands_in]
     sentence = (
         f"{len(names)} temperatures are monitored against each other, and replace one that fails{_ranges(accuracy)}"
     )
-    if others:
-        sentence += f"; {len(others)} of less influence are " + (
-            KEPT if kept else "not; the correction fades if one is lost"
-        )
+    sentence += f"; {len(kept)} of less influence are {KEPT}" if kept else ""
+    sentence += _of_unmonitored(unmonitored, guard)
+    fading = [s.name for s in guard.sensors if not s.stands_in]
     sentence += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
-    return TableGuard(guard, sentence, document)
+    return TableGuard(guard, sentence, document | {"held": list(guard.held)})
 
 
-def _most_effective(baseline: Baseline, held: Recording, max_count: int) -> tuple[str, ...]:
-    """The `max_count` temperatures with the largest effect on the table, in the recording's order."""
-    names = sensors_read(baseline.plain, held)
+def _of_unmonitored(names: Collection[str], guard: SensorGuard) -> str:
+    """What a table does if a temperature that its guard leaves out is lost, in words."""
+    fades = len(names) - len(guard.held)
+    sentence = (
+        f"; {len(guard.held)} of little influence are not: a lost one keeps its last reading"
+        if fades < len(names)
+        else ""
+    )
+    return sentence + (f"; {fades} of less influence are not; the correction fades if one is lost" if fades else "")
+
+
+def _influences(baseline: Baseline, held: Recording) -> dict[str, tuple[float, float]]:
+    """Temperature -> what is changed if it stays as at each start: relative cost; largest change, of the uncompensated
+    rms. In the recording's order."""
     predicted, run = baseline.predicted(baseline.plain, held), held.run_codes()
     first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
+    out = {}
+    for name in sensors_read(baseline.plain, held):
+        stuck = baseline.predicted(baseline.plain, held.with_columns({name: held.array(name)[first]}, {}))
+        largest = max(
+            float(np.nanmax(np.abs(values - predicted[c]), initial=0.0)) / max(baseline.before.get(c, 0.0), 1e-9)
+            for c, values in stuck.items()
+        )
+        out[name] = (baseline.cost(baseline.rms_difference(stuck, predicted)), largest)
+    return out
 
-    def moves(name: str) -> float:
-        stuck = held.with_columns({name: held.array(name)[first]}, {})
-        return baseline.cost(baseline.rms_difference(baseline.predicted(baseline.plain, stuck), predicted))
 
-    ranked = sorted(names, key=moves, reverse=True)[:max_count] if len(names) > max_count else names
-    return tuple(n for n in names if n in ranked)
+def _most(influence: Mapping[str, tuple[float, float]], count: int) -> tuple[str, ...]:
+    """The `count` temperatures with the largest effect on the table, in the recording's order."""
+    ranked = sorted(influence, key=lambda n: influence[n][0], reverse=True)[:count]
+    return tuple(n for n in influence if n in ranked)
+
+
+def _of_little(influence: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
+    """Temperatures, those of the smallest effect first, that together change the table by at most `MAX_HELD`."""
+    total, out = 0.0, []
+    for name in sorted(influence, key=lambda n: influence[n][1]):
+        total += influence[name][1]
+        if total > MAX_HELD:
+            break
+        out.append(name)
+    return tuple(n for n in influence if n in out)
 
 
 def _learn(
@@ -307,17 +339,20 @@ def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | Non
     max_count = min(MAX_INDIVIDUAL, baseline.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
-    names = _most_effective(baseline, held, max_count)
+    influence = _influences(baseline, held)
+    names = _most(influence, max_count)
+    unmonitored = {n: of for n, of in influence.items() if n not in names}
     try:
         guard, folds = _learn(held, names, scheme, learn.limits)
     except DataError as lacking:
         return no_guard(f"{why}; {lacking}")
-    guard, cost = _affordable(baseline, held, guard, folds)
+    guard, cost = _affordable(baseline, held, guard.model_copy(update={"held": _of_little(unmonitored)}), folds)
     if cost > MAX_COST:
         return no_guard(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
     symptoms = ", or ".join(rule.symptom for rule in RULES)
     sentence = f"each temperature is monitored by itself ({why}): the correction fades if one {symptoms}"
-    return TableGuard(guard, sentence, {"watched": list(names), "stand_in": [], "cost": cost, "why": why})
+    document = {"watched": list(names), "stand_in": [], "cost": cost, "why": why, "held": list(guard.held)}
+    return TableGuard(guard, sentence + _of_unmonitored(unmonitored, guard), document)
 
 
 def _nodes_of_rules() -> int:

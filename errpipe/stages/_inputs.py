@@ -11,7 +11,7 @@ from errpipe.domain import driver as d
 from errpipe.domain.components import is_rotary
 from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.recording import Recording
-from errpipe.domain.table import Kind, TableInput
+from errpipe.domain.table import LARGEST_NUMBER, Kind, TableInput
 from errpipe.domain.table_text import AXIS, NAME, text_problem
 from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
@@ -75,9 +75,21 @@ def table_inputs(
         healthy |= {s.name: s for s in guard.kept}
     inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in compared_only else c for c in inputs]
     inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
-    unguarded = [c for c in inputs if healthy and c.kind == "sensor" and c.name not in healthy]  # lost, the table fades
-    holds = {c.name: {"hold_s": (c.stale_after_s or 0.0) + FADE_S} for c in unguarded}
-    return [c.model_copy(update=holds.get(c.name, {})) for c in inputs]
+    return [_unmonitored(c, model, guard) if healthy and c.name not in healthy else c for c in inputs]
+
+
+def _unmonitored(channel: TableInput, model: ErrorModel, guard: SensorGuard | None) -> TableInput:
+    """A channel that a guard leaves out: if it is lost the table fades, unless its last reading is to be held.
+
+    A held one counts no further beyond its recorded range than that range is wide: a failed input drifts to any value.
+    """
+    if channel.kind != "sensor":
+        return channel
+    seen = model.validity.ranges.get(channel.name)
+    if guard is None or channel.name not in guard.held or seen is None:
+        return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + FADE_S})
+    width = seen[1] - seen[0]
+    return channel.model_copy(update={"valid": (seen[0] - width, seen[1] + width), "margin": LARGEST_NUMBER})
 
 
 def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:

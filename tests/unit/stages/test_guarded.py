@@ -223,6 +223,26 @@ def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
     assert all(s.rule("sudden_change").jump >= 5.0 for s in alone)
 
 
+def test_temperatures_of_little_influence_are_held_and_others_fade(kept):
+    """Without room for those beyond six: the smallest change that each makes counts, the sum up to the limit."""
+    model, judge, _ = kept
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_guarded, "NODES_KEPT", 10_000)
+        found = _guarded.choose_guard(judge, None)
+        patch.setattr(_guarded, "MAX_HELD", 0.0)
+        fading = _guarded.choose_guard(judge, None)
+    assert len(found.guard.held) == 3 and "T_9" in found.guard.held and "keeps its last reading" in found.sentence
+    assert not fading.guard.held and "fades if one is lost" in fading.sentence
+    fresh = nine(4, 6)
+    gone = fresh.with_columns({"T_9": np.where(fresh.time() >= 7200.0, np.nan, fresh.array("T_9"))}, {})
+    last = fresh.time() == fresh.time().max()
+    healthy, held, faded = (
+        table_values(judge.compiled(g), model, rows)["E_Z"][last]
+        for g, rows in ((found.guard, fresh), (found.guard, gone), (fading.guard, gone))
+    )
+    assert np.abs(held - healthy).max() < 2.0 and np.abs(faded).max() < 1e-6 < 10.0 < np.abs(healthy).max()
+
+
 @pytest.mark.parametrize("guarded", [True, False])
 def test_checklists_say_whether_sensors_are_watched(watched, guarded):
     _, _, judge, found = watched
