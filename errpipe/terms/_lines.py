@@ -130,7 +130,7 @@ def _between(cubic: np.ndarray, places: np.ndarray, rest: np.ndarray, f: float, 
 
 
 def harmonics_of_few_places(at: np.ndarray, signal: np.ndarray) -> Iterator[tuple[float, tuple[float, ...]]]:
-    """Waves of a few places (1/length) that repeat, and which of their first multiples stand out beside them (F test)."""
+    """Waves of a few places (1/length) that repeat, and which of their multiples stand out beside them (F test)."""
     places, index = np.unique(at, return_inverse=True)
     mean, span = np.bincount(index, signal) / np.bincount(index), float(places[-1] - places[0])
     for f in waves_of_few_places(at, signal):

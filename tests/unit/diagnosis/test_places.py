@@ -8,6 +8,8 @@ import pytest
 from errpipe.diagnosis import diagnose
 from errpipe.terms._lines import at_targets, periods
 from errpipe.terms._place import direction_of
+from errpipe.terms._search import Signals, search_of
+from errpipe.terms.local_wear import LocalWear
 from errpipe.terms.scale_error import ScaleError
 from errpipe.terms.squareness import Squareness
 from errpipe.terms.straightness import Straightness
@@ -71,18 +73,12 @@ def test_a_wave_of_three_turns_that_is_no_sine_is_one_finding():
     assert np.hypot(by_name["sine_2"], by_name["cosine_2"]) == pytest.approx(1.1, rel=0.15)
 
 
-def test_a_decaying_curve_is_no_wave_longer_than_the_axis():
-    said = positioning(TARGETS[::2], "X", "mm", "EXX", lambda x: 8 * np.exp(-x / 80), lambda x: 0.02 * x)
-    assert all(f.confidence < 0.6 for f in said.findings if f.effect == "pitch_cyclic")
-
-
-def test_a_wide_worn_stretch_is_named_with_its_width():
-    said = positioning(
-        TARGETS, "X", "mm", "EXX", lambda x: -3 * np.exp(-0.5 * ((x - 190) / 45) ** 2), lambda x: 0.02 * x
-    )  # fmt: skip
-    by_name = {p.name: p.value for p in said.findings[0].parameters}
-    assert said.findings[0].effect == "local_wear" and said.findings[0].confidence > 0.6
-    assert by_name["width"] == pytest.approx(45.0, rel=0.15)
+def test_a_worn_stretch_may_take_half_of_the_travel():
+    """About four widths."""
+    log = recording({"p": TARGETS}, {"p": {"role": "position", "axis": "X", "unit": "mm"}})
+    (wear,) = LocalWear.bind(log, "EXX")
+    widths = search_of(wear.nonlinear()[1]).values(wear, "width", log, Signals())
+    assert max(widths) == pytest.approx(0.12 * np.ptp(TARGETS))
 
 
 def test_a_wave_with_another_one_that_the_simulation_holds():
