@@ -134,7 +134,8 @@ def harmonics_of_few_places(at: np.ndarray, signal: np.ndarray) -> Iterator[tupl
     places, index = np.unique(at, return_inverse=True)
     mean, span = np.bincount(index, signal) / np.bincount(index), float(places[-1] - places[0])
     for f in waves_of_few_places(at, signal):
-        cubic, orders = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3), []
+        cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
+        orders: list[float] = []
         block = np.column_stack([cubic, waves(places, f)])
         for k in MULTIPLES if f * span >= MIN_REPEATED_TURNS else ():
             more, free = np.column_stack([block, waves(places, k * f)]), places.size - block.shape[1] - 3
