@@ -22,6 +22,7 @@ ROUNDED = 1.15  # threshold: rms over that of rounding (includes noise of a sixt
 MOST_STEPS = 6  # steps of a gauge that jumps occasionally,
 JUMPS = 10.0  # and log Bayes factor by which they must improve on names that only follow them
 EXPLAINED = 20.0  # log Bayes factor by which another noise model must be likelier if names leave white noise
+CLOSE_RIVAL = 0.05  # share of the log Bayes factor of a finding up to which a rival that loses it may do so by its grid
 
 
 def needs_noise_model(made: SetUp, search: Search, explanation: Explanation) -> bool:
@@ -87,9 +88,13 @@ def likelihood(search: Search, chosen: list[tuple[int, float]]) -> float:
 def refined(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
     """The explanation with non-linear parameters between the grid points, which are added to the library.
 
-    Otherwise the residual of a grid value would be mistaken for a second effect, or for slow noise.
+    Otherwise the residual of a grid value would be mistaken for a second effect, or for slow noise, and a rival that
+    explains as much would lose by that of its own.
     """
-    fresh = [(f.index, *near) for f in explanation.accepted for near in _neighbours(made, f.index)]
+    search.prior, places = made.prior, [f.index for f in explanation.accepted]
+    for k, f in enumerate(explanation.accepted):  # a rival is compared at its own best point
+        places += [i for _, lost, i in search.rivals(explanation.accepted, k) if lost < CLOSE_RIVAL * f.gain]
+    fresh = [(i, *near) for i in dict.fromkeys(places) for near in _neighbours(made, i)]
     if not fresh:
         return search, explanation
     made.library.extend([near[1:] for near in fresh])

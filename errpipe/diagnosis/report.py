@@ -20,7 +20,7 @@ from errpipe.diagnosis.whiteness import whiteness
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 from errpipe.fitting.statistics import rms
 
-TIED = 1.1  # log Bayes factor (3 as a ratio) below which names in part share the confidence of their class
+TIED = 1.1  # log Bayes factor (3 as a ratio) below which names share the confidence of their class
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed, too
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report states it
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
@@ -203,7 +203,7 @@ def finding(case: Case, k: int, made: model.FittedFinding, indicators: list[conf
     outside = min((r[1] for r in other if r not in every), default=50.0)
     name = confidence.name_probability(indicators[k])
     of_class = max(name, confidence.of_class(replace(indicators[k], margin=max(outside, indicators[k].margin))))
-    alike = 1.0 + sum(float(np.exp(-r[1])) for r in other if h.mask and 0.0 <= r[1] < TIED)
+    alike = 1.0 + sum(float(np.exp(-r[1])) for r in other if 0.0 <= r[1] < TIED)
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of them long
-# Turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
-MIN_TURNS_OF_WAVE = 2.5
+# Turns that a wave makes within the positions covered: with fewer it is any smooth curve
+MIN_TURNS_OF_WAVE = 1.25
+MIN_REPEATED_TURNS = 2.5  # and from which its harmonics are distinguished: with fewer too little repeats
+MULTIPLES = (2, 3, 4)  # of a wave at few places, which may stand out beside it
 STRONGEST = 12  # waves kept of each signal
 MAX_LINES = 6  # waves of one signal
 # Turns over the positions covered by which two lines differ at least: nearer ones would cancel each other
@@ -106,16 +108,43 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     frequency = np.arange(MIN_TURNS_OF_WAVE / span, highest * (1 + 1e-9), 0.125 / span)
     cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
     rest = _residual(cubic, mean)
+    long = frequency <= 0.5 * (places.size - 1) / span
     beside = [_residual(cubic, waves(places, f)) for f in frequency]
-    bowed = np.array([np.sum(wave**2) < BOWED * places.size for wave in beside])  # sine and cosine: places.size in all
+    # sine and cosine: places.size in all
+    bowed = ~long & np.array([np.sum(wave**2) < BOWED * places.size for wave in beside], dtype=bool)
     left = np.where(bowed, np.inf, [_squares(_residual(wave, rest)) for wave in beside])
     if not left.size or _squares(rest) <= 0:
         return np.zeros(0)
     chance = max(highest * span, 1.0) * (left / _squares(rest)) ** (free / 2)
-    padded, long = np.r_[np.inf, left, np.inf], frequency <= 0.5 * (places.size - 1) / span
+    padded = np.r_[np.inf, left, np.inf]
     clear = long | (left < FOLDED * left[long].min(initial=np.inf))
     best = np.flatnonzero((left <= padded[:-2]) & (left < padded[2:]) & (chance < FALSE_ALARMS) & clear)
-    return frequency[best[np.argsort(left[best], kind="stable")][:STRONGEST]]
+    chosen = frequency[best[np.argsort(left[best], kind="stable")][:STRONGEST]]
+    return np.array([_between(cubic, places, rest, f, 0.125 / span) for f in chosen])
+
+
+def _between(cubic: np.ndarray, places: np.ndarray, rest: np.ndarray, f: float, step: float) -> float:
+    """The frequency within a step of f whose wave, beside a cubic, leaves least of the residual."""
+    trial = f + step * np.linspace(-1.0, 1.0, 17)
+    return float(min(trial, key=lambda one: _squares(_residual(_residual(cubic, waves(places, one)), rest))))
+
+
+def harmonics_of_few_places(at: np.ndarray, signal: np.ndarray) -> Iterator[tuple[float, tuple[float, ...]]]:
+    """Waves of a few places (1/length) that repeat, and which of their multiples stand out beside them (F test)."""
+    places, index = np.unique(at, return_inverse=True)
+    mean, span = np.bincount(index, signal) / np.bincount(index), float(places[-1] - places[0])
+    for f in waves_of_few_places(at, signal):
+        cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
+        orders: list[float] = []
+        block = np.column_stack([cubic, waves(places, f)])
+        for k in MULTIPLES if f * span >= MIN_REPEATED_TURNS else ():
+            more, free = np.column_stack([block, waves(places, k * f)]), places.size - block.shape[1] - 3
+            if 2 * k * f <= (places.size - 1) / span and free > 0:
+                left = _squares(_residual(more, mean)) / max(_squares(_residual(block, mean)), 1e-300)
+                if left ** (free / 2) < FALSE_ALARMS:
+                    block, orders = more, [*orders, float(k)]
+        if orders:
+            yield float(f), (1.0, *orders)
 
 
 def _residual(block: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,15 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import is_rotary, position
 from errpipe.terms._base import Parameter
-from errpipe.terms._lines import FEW_PLACES, at_targets, harmonic_series, lines, waves
+from errpipe.terms._lines import (
+    FEW_PLACES,
+    MULTIPLES,
+    at_targets,
+    harmonic_series,
+    harmonics_of_few_places,
+    lines,
+    waves,
+)
 from errpipe.terms._search import Signals
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 from errpipe.yamlfile import quantity
@@ -48,8 +56,12 @@ def total(x: np.ndarray, period: float, orders: tuple[float, ...], parameters: M
 
 
 def log_prior_odds(orders: tuple[float, ...], known: bool) -> float:
-    """The strongest of about a hundred waves is chosen; a further order is one of about twenty. known: the period."""
-    return (0.0 if known else -3.0) - 3.0 * (len(orders) - 1)
+    """The strongest of about a hundred waves is chosen; a further order is one of about twenty. known: the period.
+
+    Its first multiples are not chosen: a wave that is no sine has them.
+    """
+    chosen = sum(k / orders[0] not in MULTIPLES for k in orders[1:])
+    return (0.0 if known else -3.0) - 3.0 * chosen - 1.0 * (len(orders) - 1 - chosen)
 
 
 def slack(base: np.ndarray, x: np.ndarray, period: float, alone: bool) -> Slack:
@@ -77,7 +89,10 @@ def visible_orders(
     The first order is the strongest. known: periods stated; one turn of a rotary axis always is.
     """
     x = at_targets(position(recording, axis)[signals.rows])
-    if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= FEW_PLACES:
+    if not signals.values or not np.isfinite(x).all():
+        return
+    if np.unique(x).size <= FEW_PLACES:
+        yield from ((1.0 / f, orders, False) for f, orders in harmonics_of_few_places(x, signals.values[0]))
         return
     span, turned = float(np.ptp(x)), (*known, *full_turn(recording, axis, NEARLY))
     for base, orders, stated in harmonic_series(lines(x, signals.values[0]), span, [1.0 / p for p in turned]):

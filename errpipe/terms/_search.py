@@ -17,7 +17,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter, Search, Term
-from errpipe.terms._lines import periods
+from errpipe.terms._lines import MIN_TURNS_OF_WAVE, periods
 
 Estimates = Iterator[tuple[Term, tuple[float, ...]]]  # bindings with non-linear values estimated from signals
 STEPS = 9  # points of a refinement, the best one in their middle
@@ -184,7 +184,8 @@ class Waves(Listed):
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         _, span = resolved_lengths(recording, term.axis)
-        return 1.0 / np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), 1e-12 / span)
+        longest = min(1.0 / value, MIN_TURNS_OF_WAVE / span)
+        return 1.0 / np.unique(np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), longest))
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         _, span = resolved_lengths(recording, term.axis)
@@ -216,7 +217,7 @@ class Widths(Listed):
     """Length of a stretch, as shares of the positions that the recording covers."""
 
     bounded: ClassVar[bool] = False
-    shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08)
+    shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08, 0.12)
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         _, span = resolved_lengths(recording, term.axis)

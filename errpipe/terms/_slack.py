@@ -14,6 +14,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import direction, motion_sessions, position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
+from errpipe.terms._lines import MIN_REPEATED_TURNS, MULTIPLES
 from errpipe.terms._search import resolved_lengths, resolved_times
 
 Slack = Iterator["tuple[np.ndarray, float]"]  # column, shape (rows,), and its freedom
@@ -51,16 +52,12 @@ def uneven_waves(waves: np.ndarray, x: np.ndarray) -> Slack:
         yield wave * polynomials[:, 2], 0.15
 
 
-# Of a wave, from which its harmonics are offered: with fewer turns they could fit any bump
-MIN_TURNS_FOR_HARMONICS = 6.0
-
-
 def higher_harmonics(x: np.ndarray, period: float) -> Slack:
     """Multiples of a wave along x: a wave that is no sine is one finding."""
-    for k in (2, 3, 4) if np.ptp(x) > MIN_TURNS_FOR_HARMONICS * period else ():
+    for k in MULTIPLES if np.ptp(x) > MIN_REPEATED_TURNS * period else ():
         angle = 2 * np.pi * k / period * x
-        yield np.sin(angle), 0.4
-        yield np.cos(angle), 0.4
+        yield np.sin(angle), 0.2
+        yield np.cos(angle), 0.2
 
 
 def difference_of_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:

@@ -106,6 +106,20 @@ def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(of
         assert first.parameters[0].ci95[0] <= 24.0 <= first.parameters[0].ci95[1]
 
 
+def test_two_names_of_one_curve_share_the_confidence() -> None:
+    """A signal four intervals late has a dead time or another clock: the equations are the same."""
+    known = trace(1)
+    t, rng = known.frame.t.to_numpy(), np.random.default_rng(5)
+
+    def force(at):
+        return -16.224 * np.sin(1.3 * at) - 23.064 * np.sin(3.1 * at) + 9 * np.sin(13.0 * at)
+
+    changed = known.frame.assign(F_X=force(t - 0.0203) + 0.01 * rng.standard_normal(t.size), F_X_sim=force(t))
+    first = diagnose(type(known)(known.manifest, changed))[0].responses[0].findings[0]
+    assert {first.effect, *first.indistinguishable_from} >= {"dead_time", "clock_offset"}
+    assert first.confidence <= 0.6 and (first.confidence_of_class or 0.0) > 0.9
+
+
 @pytest.mark.parametrize(("quick", "noise"), [(0.0, 0.01), pytest.param(1.0, 0.2, marks=pytest.mark.slow)])
 def test_a_dead_time_of_part_of_a_sampling_step_is_named_with_its_size(quick: float, noise: float) -> None:
     """0.3 steps: for straight lines between rows, the curvature would be another effect, such as a mass."""

@@ -8,6 +8,8 @@ import pytest
 from errpipe.diagnosis import diagnose
 from errpipe.terms._lines import at_targets, periods
 from errpipe.terms._place import direction_of
+from errpipe.terms._search import Signals, search_of
+from errpipe.terms.local_wear import LocalWear
 from errpipe.terms.scale_error import ScaleError
 from errpipe.terms.squareness import Squareness
 from errpipe.terms.straightness import Straightness
@@ -34,7 +36,7 @@ def positioning(places: np.ndarray, axis: str, unit: str, component: str, missin
     return diagnose(recording(columns, kinds, constants))[0].responses[0]
 
 
-@pytest.mark.parametrize("period", [97.0, 23.0])  # of targets 16 mm apart: the second one falls between them
+@pytest.mark.parametrize("period", [190.0, 97.0, 23.0])  # of targets 16 mm apart: the last one falls between them
 def test_a_wave_of_few_targets_is_named(period):
     said = positioning(
         TARGETS, "X", "mm", "EXX", lambda x: 2 * np.sin(2 * np.pi * x / period + 1), lambda x: 0.02 * x
@@ -55,6 +57,28 @@ def test_a_wave_with_the_lead_that_is_no_sine_is_named_by_its_lead():
     assert said.findings[0].effect == "pitch_cyclic" and said.findings[0].confidence > 0.8
     by_name = {p.name: p.value for p in said.findings[0].parameters}
     assert by_name["amplitude"] == pytest.approx(3.0, rel=0.1) and by_name.get("period", 10.0) == pytest.approx(10.0)
+
+
+def test_a_wave_of_three_turns_that_is_no_sine_is_one_finding():
+    """At few targets, too, its multiples are orders of it and no departure from it, which would be `unknown`."""
+
+    def wave(x):
+        a = 2 * np.pi * x / 110.0
+        return 2 * np.sin(a + 1) + 1.1 * np.sin(2 * a) + 0.4 * np.sin(3 * a + 2)
+
+    said = positioning(TARGETS, "X", "mm", "EXX", wave, lambda x: 0.02 * x)
+    first, by_name = said.findings[0], {p.name: p.value for p in said.findings[0].parameters}
+    assert first.effect == "pitch_cyclic" and first.confidence > 0.8
+    assert by_name["period"] == pytest.approx(110.0, rel=0.03)
+    assert np.hypot(by_name["sine_2"], by_name["cosine_2"]) == pytest.approx(1.1, rel=0.15)
+
+
+def test_a_worn_stretch_may_take_half_of_the_travel():
+    """About four widths."""
+    log = recording({"p": TARGETS}, {"p": {"role": "position", "axis": "X", "unit": "mm"}})
+    (wear,) = LocalWear.bind(log, "EXX")
+    widths = search_of(wear.nonlinear()[1]).values(wear, "width", log, Signals())
+    assert max(widths) == pytest.approx(0.12 * np.ptp(TARGETS))
 
 
 def test_a_wave_with_another_one_that_the_simulation_holds():

@@ -380,3 +380,20 @@ def test_a_wave_as_long_as_the_encoders_signal_is_the_encoders(stated, offered):
     free = next(t for t in PitchCyclic.bind(log, "EXX") if not t.fixed)
     assert near(Waves().values(free, "period", log, signals(wave))) == offered
     assert near(p for _, (p,) in PitchCyclic.estimates(log, "EXX", signals(wave))) == offered
+
+
+def test_a_wave_is_refined_within_the_turns_that_are_searched():
+    """With fewer than 1.25 it is any smooth curve, such as a decay."""
+    x = PLACES
+    log = recording({"x": x}, {"x": {"role": "position", "axis": "X", "unit": "mm"}})
+    free = next(t for t in PitchCyclic.bind(log, "EXX") if not t.fixed)
+    assert max(Waves().neighbours(250.0, free, log)) <= 320 / 1.25 * (1 + 1e-9)
+    assert min(Waves().neighbours(250.0, free, log)) < 240.0
+
+
+def test_harmonics_of_a_wave_of_few_places_are_its_orders():
+    a = 2 * np.pi * PLACES / 110
+    x, y = visited(2 * np.sin(a + 1) + np.sin(2 * a))
+    log = recording({"x": x}, {"x": {"role": "position", "axis": "X", "unit": "mm"}})
+    found = [(t.orders, p) for t, (p,) in PitchCyclic.estimates(log, "EXX", signals(y))]
+    assert [orders for orders, _ in found] == [(1.0, 2.0)] and found[0][1] == pytest.approx(110, rel=0.03)
