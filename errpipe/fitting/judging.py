@@ -23,8 +23,6 @@ from errpipe.fitting.validity import distance
 
 MIN_IMPROVEMENT = 0.01  # share of the held-out error that a term must remove to be kept (by judgement)
 
-FIRST_READINGS = 3  # whose mean is a run's zero if the datum is its start: one alone would add its noise to all
-
 
 class NothingJudged(DataError):
     """A held-out group without a row that has every input of the model, such as a run without a sensor."""
@@ -100,7 +98,10 @@ def _empty(recording: Recording, rows: np.ndarray) -> list[str]:
 
 
 def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-    """Mean of each run's first readings (minus the model's values there), for every row of the problem, (n,)."""
+    """Each run's first reading (minus the model's value there), for every row of the problem, (n,).
+
+    One, because a table counts from one: the mean of several would remove most of what its noise costs the whole run.
+    """
     run, out = recording.run_codes(), []
     for component, rows in zip(problem.components, problem.rows, strict=True):
         y = recording.array(response_name(recording, component))
@@ -108,7 +109,7 @@ def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndar
         first = np.zeros(int(run.max()) + 1)
         for code in np.unique(run[rows]):
             readings = y[run == code]
-            first[code] = readings[np.isfinite(readings)][:FIRST_READINGS].mean()
+            first[code] = readings[np.isfinite(readings)][0]
         out.append(first[run[rows]])
     return np.concatenate(out)
 

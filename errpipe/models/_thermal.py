@@ -120,7 +120,8 @@ class ThermalFamily(Family):
     def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Compete and fit on one side of a fold, validate on the other.
 
-        Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
+        Deviation and prediction both count from a run's first reading, as a table does: the mean of several would
+        remove most of what one noisy reading of the temperatures costs the whole run.
         """
 
         from errpipe.fitting import holdout
@@ -133,8 +134,8 @@ class ThermalFamily(Family):
         model = self.train(recording, fold.train)
         run, known = recording.run_codes(), all_known(recording)  # a lag continues after its sensor has failed
         read = np.where(known, recording.array(response_name(recording, self.component)), np.nan)
-        since, _ = since_start(read, run, self.datum_rows)
-        residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
+        since, _ = since_start(read, run, 1)
+        residual = since - predicted_since_start(model.values(recording), run, 1, since == since)
         return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
@@ -181,7 +182,14 @@ class ThermalFamily(Family):
             if alone and problem.one_run:
                 entrants = [e for e in entrants if e.physical] or entrants
             outcome = competition.compete(
-                entrants, groupings, problem.response, problem.rows, problem.group, problem.one_run, alone
+                entrants,
+                groupings,
+                problem.response,
+                problem.rows,
+                problem.group,
+                problem.one_run,
+                alone,
+                None if problem.blocks else recording.run_codes(),
             )
             return _model(self, problem, outcome), outcome
 

@@ -117,7 +117,7 @@ class Season(Family):
         return Fitted(model, {CAUSES: document}, {self.component: f"{fitted.report['rms_before']:.3g} {remaining}"})
 
     def validate_fold(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Fit on one side of a fold, validate on the other; deviations count from the start of each run."""
+        """Fit on one side of a fold, validate on the other; both count from each run's first reading, as a table."""
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import distance
         from errpipe.thermal.arithmetic import held_readings, predicted_since_start, since_start_of
@@ -125,7 +125,7 @@ class Season(Family):
         holdout.check(fold)
         recording = held_readings(recording)
         model = self.train(recording, fold.train)
-        since = since_start_of(recording, self.component, self.options.datum_rows)
+        since = since_start_of(recording, self.component)
         residual = since - predicted_since_start(model.values(recording), recording.run_codes(), 1, since == since)
         return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 

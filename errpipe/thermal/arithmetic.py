@@ -162,7 +162,7 @@ def _sensor_with_most_gaps(recording: Recording) -> str:
     return f"most gaps: {name}, no reading in {empty.max()} of {len(recording)} rows; `role: ignore` excludes it"
 
 
-def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
+def since_start_of(recording: Recording, component: str, rows: int = 1) -> np.ndarray:
     """Deviation of a component since the start of each run (mean of its first `rows` rows), um, shape (rows,)."""
     return since_start(recording.array(response_name(recording, component)), recording.run_codes(), rows)[0]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.thermal import spread
+from errpipe.thermal.arithmetic import since_start
 from errpipe.thermal.competition import HALF, MIXTURE, RUN, WARMTH, Outcome, groupings
 from errpipe.thermal.interval import GROWTH, Intervals, LeftOut, growth_of_one_day, of_next_run
 from errpipe.thermal.linear import LinearProblem
@@ -102,12 +103,12 @@ def _half_width(
     A held-out run is predicted by a fit with its environment, a held-out environment by a fit on the others alone.
     The next environment is predicted by a fit on all of them, between the two (`SEASONS`), and so is a run if there are
     few: neither is raised. If all rows share one environment, nothing is known of the next one: the widest of all
-    groupings is used, with the level raised as for few groups.
+    groupings is used, with the level raised as for few groups. Errors count from a run's first reading, as a table's.
     """
-    y, rows = problem.response, problem.rows
+    rows, run = problem.rows, problem.recording.run_codes()
     environment = environment if environment in outcome.predictions else WARMTH
     half = {
-        name: LeftOut((y - p)[rows], p[rows]).half_width(
+        name: LeftOut(since_start(problem.response - p, run, 1)[0][rows], p[rows]).half_width(
             problem.group[rows], coverage, problem.run_count, one_environment, factor[rows], growth
         )
         for name, p in outcome.predictions.items()

@@ -18,7 +18,7 @@ import numpy as np
 from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 from errpipe.fitting.holdout import Fold, measured
-from errpipe.fitting.judging import FIRST_READINGS, HeldOut, NothingJudged
+from errpipe.fitting.judging import HeldOut, NothingJudged
 from errpipe.fitting.statistics import student_tail
 from errpipe.fitting.validity import as_in_a_table, box, extended, fading
 from errpipe.models import Family
@@ -198,8 +198,8 @@ def champion_residual(recording: Recording, component: str, left: HeldOut, predi
         of_run = run == code
         shift = measured_rows[of_run] - left.before[of_run]
         constant = float(np.ptp(shift)) < 1e-6
-        from_start = constant and np.isclose(shift[0], np.mean(measured_rows[of_run][:FIRST_READINGS]))
-        zero = np.mean(out[of_run][:FIRST_READINGS]) if from_start else np.mean(out[of_run])
+        from_start = constant and np.isclose(shift[0], measured_rows[of_run][0])
+        zero = out[of_run][0] if from_start else np.mean(out[of_run])
         out[of_run] -= zero
     return out
 
