@@ -27,7 +27,7 @@ from trials.command import add_reports, write_reports
 from trials.folder import Array, Sheet
 
 from . import logs
-from .baselines import DATUM_ROWS, predictions, since_start
+from .baselines import predictions, since_start
 from .seasons import machine_of, recordings
 
 COMPONENT = "E_Z"
@@ -41,6 +41,7 @@ stages:
   - {{kind: export, allow: [temperature-range]}}
 """  # a body of a generated network may run hotter than any machine's
 GATE = 4
+JUDGED_FROM = 1  # readings at a day's start from which everything that is judged counts, as a table does
 
 
 def errpipe(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -63,7 +64,7 @@ def by_family(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
         return {"failed": asked.stderr.strip().splitlines()[-1:]}
     table = pd.read_csv(where / f"{family}.csv")
     by_name: dict[str, Any] = {"exported": ran.returncode == 0}
-    by_name["prediction"] = since_start(table[f"{COMPONENT}_predicted"].to_numpy(float), judged.runs())
+    by_name["prediction"] = since_start(table[f"{COMPONENT}_predicted"].to_numpy(float), judged.runs(), JUDGED_FROM)
     low, high = (table.get(f"{COMPONENT}_{side}") for side in ("lower", "upper"))
     if low is not None and high is not None and low.notna().any():
         by_name |= coverage(judged, by_name["prediction"], 0.5 * (high - low).to_numpy(float))
@@ -82,21 +83,21 @@ def by_training(where: Path, family: str, judged: Sheet) -> dict[str, Any]:
         told = asked.train(fit, None).predict(recording)
     except ErrpipeError as e:
         return {"failed": [str(e)]}
-    predicted = since_start(told.predicted, judged.runs())
+    predicted = since_start(told.predicted, judged.runs(), JUDGED_FROM)
     half = 0.5 * (told.upper - told.lower)
     return {"exported": True, "judged_without_gate": True, "prediction": predicted} | coverage(judged, predicted, half)
 
 
 def coverage(judged: Sheet, predicted: Array, half: Array) -> dict[str, float]:
     """Share of the rows inside the interval, and its mean width over the one that would hold 90 %."""
-    left = np.abs(since_start(judged.values(COMPONENT), judged.runs()) - predicted)
+    left = np.abs(since_start(judged.values(COMPONENT), judged.runs(), JUDGED_FROM) - predicted)
     needed = float(np.quantile(left, 0.9))
     return {"covered": float(np.mean(left <= half)), "width": float(np.mean(half)) / max(needed, 1e-9)}
 
 
 def noise_floor(seed: int, number: int) -> float:
-    """What a perfect model would leave: a reading's noise, and that of the three that are a day's zero."""
-    return machine_of(seed, number)[1].reading_noise * (1 + 1 / DATUM_ROWS) ** 0.5
+    """What a perfect model would leave: a reading's noise, and that of the one that is a day's zero."""
+    return machine_of(seed, number)[1].reading_noise * (1 + 1 / JUDGED_FROM) ** 0.5
 
 
 def rms(values: Array) -> float:
@@ -110,11 +111,11 @@ def one_machine(
     fit, judged = logs.recordings(seed, number, log_days) if log_days else recordings(seed, number)
     folder.write(where / "fit", fit)
     folder.write(where / "judge", judged)
-    y = since_start(judged.values(COMPONENT), judged.runs())
+    y = since_start(judged.values(COMPONENT), judged.runs(), JUDGED_FROM)
     nothing = rms(y)
     row: dict[str, Any] = {"machine": fit.machine, "uncompensated_um": nothing, "left": {}, "families": {}}
     for name, predicted in predictions(fit, judged, COMPONENT).items():
-        row["left"][name] = rms(y - predicted) / nothing
+        row["left"][name] = rms(y - since_start(predicted, judged.runs(), JUDGED_FROM)) / nothing
     row["left"]["noise of a reading"] = noise_floor(seed, number) / nothing
     for family in families:
         result = (by_family if gate else by_training)(where, family, judged)

@@ -12,16 +12,16 @@ import numpy as np
 from trials.folder import Array, Sheet
 from trials.rivals import first_order
 
-DATUM_ROWS = 3  # readings at a day's start whose mean is its zero
+DATUM_ROWS = 3  # readings at a day's start whose mean is its zero in a fit
 LAGS = (0.0, 600.0, 1800.0, 3600.0, 7200.0, 14400.0)  # s
 
 
-def since_start(values: Array, runs: Array) -> Array:
+def since_start(values: Array, runs: Array, first: int = DATUM_ROWS) -> Array:
     """Less the mean of each run's first readings; shape kept."""
     out = np.array(values, dtype=float)
     for run in dict.fromkeys(runs.tolist()):
         rows = np.flatnonzero(runs == run)
-        out[rows] -= out[rows[:DATUM_ROWS]].mean(axis=0)
+        out[rows] -= out[rows[:first]].mean(axis=0)
     return out
 
 
