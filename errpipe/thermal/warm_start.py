@@ -49,7 +49,7 @@ RIDGE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # on columns of unit rms
 # sensor at 20 degC (IEC 60751). Without it one that was 1 K off cost all of a correction (seed 7401, machine 4).
 OFF = 0.4
 MOST = 1e3  # K: limit of a difference
-ROUNDING = 1e-6  # K: no sensor resolves it; the inverse of a smaller difference of later starts exceeds a table's weights
+ROUNDING = 1e-6  # K: no sensor resolves it, and a table's weights cannot hold its inverse
 WITNESSES = 16  # sensors that confirm a difference at most: a table holds 4096 operands in all
 # Times the largest difference of the later starts: further ones count as this one, and from here to twice this the
 # correction fades, because only a faulty sensor differs so much. Chosen on seeds 21, 31, 41 of `days` of the tests: a
