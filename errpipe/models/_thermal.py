@@ -181,7 +181,14 @@ class ThermalFamily(Family):
             if alone and problem.one_run:
                 entrants = [e for e in entrants if e.physical] or entrants
             outcome = competition.compete(
-                entrants, groupings, problem.response, problem.rows, problem.group, problem.one_run, alone
+                entrants,
+                groupings,
+                problem.response,
+                problem.rows,
+                problem.group,
+                problem.one_run,
+                alone,
+                None if problem.blocks else recording.run_codes(),
             )
             return _model(self, problem, outcome), outcome
 

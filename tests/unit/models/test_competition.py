@@ -123,6 +123,38 @@ def test_a_bad_first_reading_weighs_less_in_a_zero_of_more_rows() -> None:
         assert_allclose((responses[0] - responses[1])[~first], moved, atol=1e-9)
 
 
+def test_a_setting_that_fails_in_the_other_season_loses_to_one_nearly_as_good_on_runs() -> None:
+    """Held-out runs: 1.0 and 1.1 um; held-out seasons: 3.9 and 2 um, both admitted."""
+    run = np.repeat(np.arange(6), 20)
+    wave = np.sqrt(2.0) * np.sin(np.arange(120) * np.pi / 5)  # zero in each first row
+    response = 10.0 * wave
+
+    def entrant(name: str, of_runs: float, of_seasons: float) -> competition.Entrant:
+        def predict(groups: competition.Groups) -> np.ndarray:
+            return response + (of_runs if len(groups) == 5 else of_seasons) * np.roll(wave, 5)
+
+        return competition.Entrant("one", name, predict, lambda groups: ())
+
+    ways = [
+        competition.Grouping(competition.RUN, tuple((g,) for g in range(6)), (), False),
+        competition.Grouping("season", ((0, 1, 2), (3, 4, 5))),
+    ]
+    entrants = [entrant("fragile", 1.0, 3.9), entrant("sound", 1.1, 2.0)]
+    for known, best in ((None, "fragile"), (run, "sound")):
+        outcome = competition.compete(entrants, ways, response, run >= 0, run, run=known)
+        assert [e.name for e, _ in outcome.weights] == [best]
+
+
+def test_residuals_from_the_first_reading_carry_its_error() -> None:
+    run = np.repeat([0, 1], 4)
+    response, predicted = np.arange(8.0), np.arange(8.0)
+    predicted[[0, 4]] += [1.0, -2.0]
+    predicted[1] = np.nan
+    held_out_rows = competition._HeldOutPredictions(predicted[None], response, run >= 0, run)
+    moved = held_out_rows.from_first_reading(run)
+    assert_allclose((moved.response - moved.mixture({0: 1.0}))[moved.seen], [0.0, 1.0, 1.0, 0.0, -2.0, -2.0, -2.0])
+
+
 @pytest.mark.parametrize(
     "family",
     [

@@ -108,6 +108,19 @@ def test_a_mixture_without_lags_adds_no_gains_of_rounding_size() -> None:
     assert fitted.report["later_starts"][0] == fitted.report["later_starts"][1]
 
 
+@pytest.mark.parametrize(("sizes", "added"), [((1.0,) * 6, True), ((10.0, 0.1, 0.1, 0.1, 0.1, 0.1), False)])
+def test_gains_that_one_run_alone_supports_are_not_added(sizes: tuple[float, ...], added: bool) -> None:
+    """All runs have the same gain, but in the second case only one shows that it helps."""
+    rng, group = np.random.default_rng(3), np.repeat(np.arange(6), 50)
+    column = np.repeat(sizes, 50) * np.sin(np.linspace(0.0, 40.0, 300))
+    lacking = 2.0 * column + rng.normal(0.0, 0.01, 300)
+    later = warm_start._Later(days(1, 1), group, group, group >= 0, lacking, 0.0 * lacking, lacking)
+    folds = [(g,) for g in range(6)]
+    gains, left, without = warm_start._chosen(range(6), folds, later, column[:, None], group >= 0, np.zeros((1, 1)))
+    assert bool(gains.any()) == added
+    assert (rms(left) < 0.1 * without) == added
+
+
 def test_a_later_start_is_left_out_with_its_run() -> None:
     """A run whose deviation is another one changes the predictions of the other runs, and none of its own."""
     whole = days(1, 6)
