@@ -28,7 +28,7 @@ SURE = 15.0  # log Bayes factor from which a part is certainly in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, for gains beyond the limits: the decomposition may be wrong
 ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
-EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
+EXACT_SD = 0.001  # prior standard deviation of such gains, relative to the usual: 0.01 % of a signal is below its noise
 AS_WELL = 1.02  # threshold: rms on held-out rows over that with gains, up to which a name is as good as its gain
 TWIN = 20.0  # threshold: log Bayes factor of an effect missing in a repeated measurement, beyond that of a finding
 
@@ -40,9 +40,12 @@ def missing_beyond_gains(
 
     A simulation that holds every effect but one exactly lacks, or has too much of, that one: the gains of the others
     are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio). Its name is the same signal as its gain: it need
-    not be likelier, only as good on held-out rows. All gains are known to be 1 where it is a twin, measured itself, or
-    by the same odds where nothing is named: departures of the parts then have no reason. Otherwise a part with a gain
-    beyond the limits may imitate another effect: without that gain something is missing, and held-out rows confirm it.
+    not be likelier, only as good on held-out rows. All gains are known to be 1 where it is a twin, measured itself (it
+    holds every effect, so another drift is no less likely), or by the same odds where nothing is named: departures of
+    the parts then have no reason. Where nothing is named, and gains are off, one effect is compared with them by the
+    marginal likelihoods (spike and slab), with the same log odds against gains that are all 1: gains of collinear parts
+    imitate one effect. Otherwise a part with a gain beyond the limits may imitate another effect: without that gain
+    something is missing, and held-out rows confirm it.
     """
     held, rows = gains.totals(nuisances, sizes)
     scene = search.scene(now := explanation.chosen())
@@ -53,20 +56,24 @@ def missing_beyond_gains(
     one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
     every = any(n.kind == "noise" for n in nuisances)
     every = every or (not explanation.accepted and odds.min() > 0 and odds.sum() >= ALL_ONE)
-    suspect = [held[off]] if one else [n for n, far in zip(held, gains.penalty(scene, rows)[1], strict=False) if far]
+    far = gains.penalty(scene, rows)[1]
+    if not (every or one or far.any() or explanation.accepted) and search.weighed:
+        other, named = _with_exact(search, [n.is_gain for n in nuisances], search.prior, noise)
+        likelier = other.evidence(named.chosen()) > search.evidence([]) + ALL_ONE
+        if named.accepted and likelier and other.joint(named.chosen()) > TWIN:
+            return other, named, True
+    suspect = [held[off]] if one else [n for n, beyond in zip(held, far, strict=False) if beyond]
     suspect = held if every else suspect
     if not (every or (len(held) > 1 and suspect)) or not (one or search.weighed):  # held-out rows confirmed wide gains
         return None
     effects, labels = {n.effect for n in suspect}, {n.part for n in suspect}
     parts_of = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect in effects}
-    own = np.array([(h.effect, h.drivers) in parts_of for h in search.library.hypotheses]) & (
-        search.prior > 0.5 * NEVER
-    )
-    prior = np.where(own, [h.prior for h in search.library.hypotheses], search.prior)
-    exactly = np.array([n.is_gain and (one or every or n.part in labels) for n in nuisances])
-    exact = ActiveSet(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
-    known = (noise, search.rows)
-    other, named = converged(search.library, search.data, exact, prior, *known)
+    listed = search.library.hypotheses
+    own = np.array([h.effect in effects if every else (h.effect, h.drivers) in parts_of for h in listed])
+    own &= search.prior > 0.5 * NEVER
+    prior = np.where(own, [h.prior for h in listed], search.prior)
+    exactly = [n.is_gain and (one or every or n.part in labels) for n in nuisances]
+    other, named = _with_exact(search, exactly, prior, noise)
     before = {f.hypothesis.effect for f in explanation.accepted}
     if named.accepted and other.evidence(named.chosen()) > search.evidence(now):
         again = {f.hypothesis.effect for f in named.accepted} <= before
@@ -76,9 +83,15 @@ def missing_beyond_gains(
         return (other, named, False) if as_good else None
     if not one or before:
         return None
-    other, named = converged(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
+    other, named = _with_exact(search, exactly, np.where(own, prior, NEVER), noise)
     left = judged.of_explanation(other, named.chosen()), judged.of_explanation(search, now)
     return (other, named, True) if named.accepted and left[0] < AS_WELL * left[1] else None
+
+
+def _with_exact(search: Search, exactly: list[bool], prior: np.ndarray, noise: float) -> tuple[Search, Explanation]:
+    """The search with some gains known to be exactly 1."""
+    exact = ActiveSet(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
+    return converged(search.library, search.data, exact, prior, noise, search.rows)
 
 
 def most_likely(

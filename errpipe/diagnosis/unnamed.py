@@ -61,9 +61,10 @@ def unknown_probability(case: Case, indicators: list[confidence.Indicators], hel
 def is_of_the_signal(case: Case, held: holdout.HeldOut) -> bool:
     """Does the simulated signal itself account for what names leave, which predict a share of the held-out variance?
 
-    A repeated measurement has noise, and its signal is no sum of effects: rhythm and drift of both are in the mismatch.
+    A repeated measurement has noise, its signal is no sum of effects, or its gains are 1: rhythm and drift of both are
+    in the mismatch.
     """
-    repeated = not case.decomposition.parts or any(n.kind == "noise" for n in case.nuisances)
+    repeated = case.of_a_twin or not case.decomposition.parts or any(n.kind == "noise" for n in case.nuisances)
     predicted = held.named**2 <= (1.0 - UNREACHED) * held.bare**2
     return repeated and predicted and confirmed_by_held_out(case, held)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from errpipe.diagnosis import diagnose, gains
+from errpipe.diagnosis import diagnose, gains, recalibration
 from errpipe.diagnosis.evidence import ActiveSet, Data, Scene, Table
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 
@@ -92,14 +92,18 @@ def test_a_gain_far_off_is_a_gain_where_nothing_else_plays_it():
     assert diagnose(axis(7, gains=(1.0, 0.6)))[0].responses[0].verdict == "recalibrate"
 
 
-def warm_up_and_its_twin(seed, missing):
-    """A recording of E_Z and its repetition, which lacks `missing`, um, of the rises of bed and room."""
+def warm_up_and_its_twin(seed, missing, noise=1.2, gains=(1.0, 1.0, 1.0), scatter=1.2):
+    """A recording of E_Z and its repetition, which lacks `missing`, um, of the rises of bed and room.
+
+    noise: of the repetition; gains: of its parts; scatter: of the recording.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(300) * 60.0
     bed = 80 * (1 - np.exp(-t / 900.0))
     frame = 15 * (1 - np.exp(-t / 6000.0)) + 0.02 * rng.standard_normal(t.size)
     room = 8 * (1 - np.exp(-t / 4500.0)) + np.sin(t / 2500)
-    recorded, twin = bed - 4.0 * frame + 3.0 * room + 1.2 * rng.standard_normal((2, t.size))
+    drawn, parts = rng.standard_normal((2, t.size)), np.array([bed, -4.0 * frame, 3.0 * room])
+    recorded, twin = parts.sum(axis=0) + scatter * drawn[0], np.array(gains) @ parts + noise * drawn[1]
     kinds = {"t": {"role": "time", "unit": "s"}}
     for name, where in (("T_frame", "frame"), ("T_bed", "bed"), ("T_room", "room")):
         kinds[name] = {"role": "temperature", "unit": "degC", "location": where}
@@ -123,3 +127,27 @@ def test_a_twin_lacks_a_lagged_drift_that_departures_of_its_parts_would_play():
     assert response.verdict == "missing_physics"
     assert response.findings[0].drivers == ("T_room",)
     assert response.findings[0].confidence <= 0.45
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_gains_off_as_usual_are_likelier_than_an_effect_that_imitates_them(seed):
+    made = warm_up_and_its_twin(seed, lambda bed, room: 0.0 * room, noise=0.0, gains=(0.9, 1.1, 0.88))
+    assert diagnose(made)[0].responses[0].verdict == "recalibrate"
+
+
+@pytest.mark.parametrize(("odds", "verdict"), [(6.0, "recalibrate"), (3.0, "missing_physics")])
+def test_one_effect_replaces_gains_that_imitate_it_if_likelier_than_the_odds_against_it(monkeypatch, odds, verdict):
+    """Half of a drift is likelier than the gains of two collinear parts by 4.5."""
+    monkeypatch.setattr(recalibration, "ALL_ONE", odds)
+    response = diagnose(warm_up_and_its_twin(3, lambda bed, room: 0.5 * room, noise=0.0))[0].responses[0]
+    assert response.verdict == verdict
+    assert all(f.confidence <= 0.45 for f in response.findings if f.effect != "recalibration")
+
+
+@pytest.mark.parametrize(("relative", "verdict"), [(recalibration.EXACT_SD, "missing_physics"), (0.03, "recalibrate")])
+def test_gains_of_a_large_signal_play_no_small_effect_if_they_are_exactly_one(monkeypatch, relative, verdict):
+    """0.3 % of parts of 80 um reproduce a drift of 1 um."""
+    monkeypatch.setattr(recalibration, "EXACT_SD", relative)
+    made = warm_up_and_its_twin(3, lambda bed, room: np.linspace(0.0, 1.0, room.size), noise=0.0, scatter=0.4)
+    response = diagnose(made)[0].responses[0]
+    assert response.verdict == verdict

@@ -323,6 +323,7 @@ def test_a_signal_that_was_itself_recorded_accounts_for_what_names_leave(monkeyp
     monkeypatch.setattr(unnamed.confidence, "unknown", lambda s: 0.3)
     case, held = left_by(np.zeros(200), 1.0)
     case.decomposition = SimpleNamespace(parts=parts)
+    case.of_a_twin = False
     case.nuisances = [SimpleNamespace(kind=kind) for kind in kinds]
     case.explanation, case.run = SimpleNamespace(accepted=[SimpleNamespace(gain=20.0)]), np.zeros(200)
     case.search.rows = None
