@@ -27,7 +27,6 @@ _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
 )
 _NUMBERED_DAY = re.compile(r"^(?:day|tag|jour|giorno|d[ií]a)[ .#]{0,3}(\d{1,4})[ :;-]{1,3}", re.IGNORECASE)
-_TWO_FIELDS = re.compile(r"\d{1,3}:\d\d")
 _COMPACT = re.compile(r"(?:19|20)\d{12}")  # yyyymmddhhmmss, read as a number
 _FIRST_YEAR = 1901  # strptime returns 1900 for a text with only a clock time
 _HALF_A_DAY = 43200.0  # s
@@ -172,17 +171,6 @@ def refuse_clock_set_back(c: RawColumn, since: np.ndarray) -> None:
         )
 
 
-def refuse_two_fields(c: RawColumn) -> None:
-    """Raise DataError if times count from `0:00` in two fields: minutes and seconds, or hours and minutes."""
-    texts = c.texts
-    said = re.search(r"h{1,2}:mm|mm:ss", c.header, re.IGNORECASE)
-    if not said and texts and re.fullmatch(r"0{1,2}:00", texts[0]) and all(_TWO_FIELDS.fullmatch(t) for t in texts):
-        raise DataError(
-            f"column {c.header!r} counts from {texts[0]!r}: minutes and seconds, or hours and minutes? Write mm:ss or "
-            "hh:mm into its header"
-        )
-
-
 def refuse_unread(entries: dict[str, dict[str, Any]], guesses: dict[str, str], data: dict[str, Any]) -> None:
     """Raise DataError if a drift has no readable time, but a column of possible dates."""
     unread = next((name for name, why in guesses.items() if why == NOT_UNDERSTOOD), None)
@@ -223,6 +211,8 @@ def _from_digits(c: RawColumn) -> RawColumn:
     if not c.numeric or c.unit is not None or kind_by_name(c.header) != "time" or not np.isfinite(c.values).all():
         return c
     digits = [f"{v:.0f}" if v.is_integer() and 0 <= v < 1e12 else "" for v in c.values.tolist()]
+    if not all(digits):
+        return c
     longest = max(len(x.strip()) if isinstance(x, str) else len(t) for x, t in zip(c.cells, digits, strict=True))
     width = longest if longest > 6 else 6 if longest > 4 else 4
     form, written = _DIGITS.get(width, ("", ""))

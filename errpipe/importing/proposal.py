@@ -348,7 +348,6 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
     elif stamps is not None:
         since, epoch, form = stamps
         dates.refuse_clock_set_back(c, since)
-        dates.refuse_two_fields(c)
         why += f"; dates written as s since the first row{dates.order_of(form)}"
         p.put("t", since, why, role="time", unit="s", epoch=epoch)
     elif c.numeric:

@@ -150,15 +150,6 @@ def test_clock_times_of_four_digits_and_stamps_of_twelve(tmp_path: Path) -> None
     assert a_drift(tmp_path, "Timestamp", [stamp(s, "%Y%m%d%H%M") for s in seconds]) == pytest.approx(seconds)
 
 
-def test_two_fields_from_zero_on_are_asked(tmp_path: Path) -> None:
-    seconds = 30 * np.arange(50)
-    texts = [f"{s // 60:02d}:{s % 60:02d}" for s in seconds]
-    with pytest.raises(DataError, match="counts from '00:00': minutes and seconds, or hours and minutes"):
-        a_drift(tmp_path, "Zeit", texts)
-    assert a_drift(tmp_path, "Zeit [mm:ss]", texts) == pytest.approx(seconds.astype(float))
-    assert a_drift(tmp_path, "Zeit [hh:mm]", texts) == pytest.approx(60.0 * seconds)
-
-
 def test_whole_numbers_that_count_seconds_stay_seconds(tmp_path: Path) -> None:
     for seconds in (100 * np.arange(12), 30 * np.arange(40), np.array([0, 120, 240, 300, 420, 540, 600, 720])):
         assert a_drift(tmp_path, "Time", [str(s) for s in seconds]) == pytest.approx(seconds.astype(float))
