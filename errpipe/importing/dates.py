@@ -30,6 +30,7 @@ _NUMBERED_DAY = re.compile(r"^(?:day|tag|jour|giorno|d[ií]a)[ .#]{0,3}(\d{1,4})
 _COMPACT = re.compile(r"(?:19|20)\d{12}")  # yyyymmddhhmmss, read as a number
 _FIRST_YEAR = 1901  # strptime returns 1900 for a text with only a clock time
 _HALF_A_DAY = 43200.0  # s
+LONGEST_NOON = 10800.0  # s, by judgement: a longer pause from a morning to `1:30` is rather a night
 
 _CLOCKS = ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 _DAY_BEFORE_MONTH = ("%d.%m.%Y", "%d.%m.%y", "%d-%m-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y")
@@ -153,6 +154,15 @@ def refuse_clock_set_back(c: RawColumn, since: np.ndarray) -> None:
             f"column {c.header!r}: {after!r} follows {before!r}: the clock passes midnight, and the date does not "
             "change: write the date of each row"
         )
+    noon = (steps[back] + _HALF_A_DAY > 0.0) & (steps[back] + _HALF_A_DAY <= LONGEST_NOON)
+    if noon.any() and {int(str(c.cells[i]).partition(":")[0]) for i in rows if _CLOCK.fullmatch(str(c.cells[i]))} <= {
+        *range(1, 13)
+    }:
+        before, after = pairs[int(np.argmax(noon))]
+        raise DataError(
+            f"column {c.header!r}: {after!r} follows {before!r}: in the afternoon, or the next day? Write hours up to "
+            "23, or the date of each row"
+        )
     if len(pairs) == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
         before, after = pairs[0]
         raise DataError(
@@ -177,7 +187,13 @@ def is_date(text: str) -> bool:
     return _DATE.fullmatch(text) is not None
 
 
-_DIGITS = (("%Y%m%d", "%Y-%m-%d", 8), ("%H%M%S", "%H:%M:%S", 6), ("%H%M", "%H:%M", 4))
+_DIGITS = {
+    8: ("%Y%m%d", "%Y-%m-%d"),
+    12: ("%Y%m%d%H%M", "%Y-%m-%d %H:%M"),
+    6: ("%H%M%S", "%H:%M:%S"),
+    4: ("%H%M", "%H:%M"),
+}
+_YEARS = range(_FIRST_YEAR, 2100)
 FEWEST_CLOCKS = 6  # rows: fewer whole numbers may read as clock times by chance
 
 
@@ -187,24 +203,30 @@ def _unevenness(steps: np.ndarray) -> float:
 
 
 def _from_digits(c: RawColumn) -> RawColumn:
-    """A column of times with `20240503`, or with `93000` for half past nine, as texts with marks; others unchanged.
+    """A column of times with `20240503`, or with `93000` or `930` for half past nine, as texts with marks.
 
+    Others are unchanged.
     Numbers are clock times if all are valid ones and their steps then vary less: not 80, 81 ... 99, 100.
     """
     if not c.numeric or c.unit is not None or kind_by_name(c.header) != "time" or not np.isfinite(c.values).all():
         return c
-    digits = [f"{v:.0f}" if v.is_integer() and 0 <= v < 1e8 else "" for v in c.values.tolist()]
-    for form, written, width in _DIGITS if all(digits) else ():
-        try:
-            times = [datetime.strptime(t.zfill(width) if width < 8 else t, form) for t in digits]
-        except ValueError:
-            continue
-        seconds_on = np.diff([(t - times[0]).total_seconds() for t in times])
-        as_clock, as_number = (_unevenness(steps[steps > 0.0]) for steps in (seconds_on, np.diff(c.values)))
-        dated = width == 8 and all(_FIRST_YEAR <= t.year < 2100 for t in times)
-        if dated or (width < 8 and len(digits) >= FEWEST_CLOCKS and as_clock < 0.5 * as_number):
-            return RawColumn(c.header, None, [f"{t:{written}}" for t in times], np.full(len(times), np.nan))
-    return c
+    digits = [f"{v:.0f}" if v.is_integer() and 0 <= v < 1e12 else "" for v in c.values.tolist()]
+    if not all(digits):
+        return c
+    longest = max(len(x.strip()) if isinstance(x, str) else len(t) for x, t in zip(c.cells, digits, strict=True))
+    width = longest if longest > 6 else 6 if longest > 4 else 4
+    form, written = _DIGITS.get(width, ("", ""))
+    try:
+        times = [datetime.strptime(t.zfill(width) if width < 8 else t, form) for t in digits if form]
+    except ValueError:
+        return c
+    if not times or (width < 8 and len(times) < FEWEST_CLOCKS) or any(t.year not in (1900, *_YEARS) for t in times):
+        return c
+    on_clock = np.diff([(t - times[0]).total_seconds() for t in times])
+    as_clock, as_number = (_unevenness(steps[steps > 0.0]) for steps in (on_clock, np.diff(c.values)))
+    if width < 8 and as_clock >= 0.5 * as_number:
+        return c
+    return RawColumn(c.header, None, [f"{t:{written}}" for t in times], np.full(len(times), np.nan))
 
 
 def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:

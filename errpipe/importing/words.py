@@ -75,7 +75,10 @@ WORDS: tuple[tuple[str, str], ...] = (
         "ignore",
     ),
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
-    (r"\b(backlash|lost motion|umkehrspann?e|umkehrspiel|jeu a l.inversion|gioco|juego)\b|反向间隙|反向偏差", "ignore"),
+    (
+        r"\b(backlash|lost motion|umkehrspann?e|umkehrspiel|jeu a l.inversion|gioco|juego|bosluk)\b|反向间隙|反向偏差",
+        "ignore",
+    ),
     (GROUP, "group"),
     (
         r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\butc\b|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
@@ -163,20 +166,21 @@ WORDS: tuple[tuple[str, str], ...] = (
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(w|waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向|去程?|前进|전진"
-    r"|прям\w*|вперед|вверх|heen|fram|tam|oda|avant|avanco|subida|salita|dodatni\w*|(w )?przod"
+    r"|прям\w*|вперед|вверх|heen|fram|tam|oda|ileri|avant|avanco|subida|salita|dodatni\w*|(w )?przod"
 )
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(w|waerts|weg|fahrt)?"
     r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
     r"|帰り?|反向?|[负負]向?|回程|后退|후진"
-    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|arriere|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
+    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|geri|vissza|arriere|volta|retorno|retroceso|bajada"
+    r"|discesa|ujemn\w*|(w )?tył"
 )
 
 # Those that mean forward and return pass: if targets fall, the forward pass is from above.
 THERE_AND_BACK = re.compile(
     r"fw|fwd|forwards?|vor(w|waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
     r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(w|waerts|weg|fahrt)?|her(weg|fahrt)?"
-    r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza"
+    r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza|ileri|geri"
     r"|avance|avanco|avant|arriere|volta|retorno|retroceso|(w )?przod|(w )?tył|去程?|前进|전진|回程|后退|후진"
 )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from errpipe.cleaning import clean
@@ -28,17 +27,20 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     if found is None or recording is None:
         return text, []
     points = _with_points(text, f"{{term: measured_points, axis: {found[1]}}}")
-    left = []
-    with suppress(DataError):
+    try:
         cleaned = clean(recording)[0]
-        scheme = _init_heat.scheme_of(cleaned)
-        for way in (text, points) if scheme is not None else ():
-            left.append(_init_heat.held_out_residuals(cleaned, scheme, _init_heat.family_of(_without_heat(way))))
-    if len(left) < 2 or left[0] is None or left[1] is None or scheme is None:
+    except DataError:
         return text, []
-    before, after = map(_init_heat.rms, left)
-    each = zip(*([fold.rms(fold.after) for fold in folds] for folds in left), strict=True)
-    if after > CLEARLY_LESS * before or any(of_points >= of_polynomial for of_polynomial, of_points in each):
+    if (scheme := _init_heat.scheme_of(cleaned)) is None:
+        return text, []
+    of_polynomial, of_points = (
+        _init_heat.held_out_residuals(cleaned, scheme, _init_heat.family_of(_without_heat(way))) for way in (text, points)
+    )
+    if of_polynomial is None or of_points is None:
+        return text, []
+    before, after = _init_heat.rms(of_polynomial), _init_heat.rms(of_points)
+    less = (p.rms(p.after) < c.rms(c.after) for p, c in zip(of_points, of_polynomial, strict=True))
+    if after > CLEARLY_LESS * before or not all(less):
         return text, []
     what = holdout.name(scheme)
     why = f"measured points: {what} leaves {after:.3g} um with them, {before:.3g} um with a polynomial"

@@ -144,6 +144,12 @@ def test_clock_times_of_six_digits(tmp_path: Path) -> None:
     assert a_drift(tmp_path, "Date,Time", dated) == pytest.approx(seconds)
 
 
+def test_clock_times_of_four_digits_and_stamps_of_twelve(tmp_path: Path) -> None:
+    seconds = 300.0 * np.arange(60)
+    assert a_drift(tmp_path, "Time", [stamp(s, "%H%M") for s in seconds]) == pytest.approx(seconds)
+    assert a_drift(tmp_path, "Timestamp", [stamp(s, "%Y%m%d%H%M") for s in seconds]) == pytest.approx(seconds)
+
+
 def test_whole_numbers_that_count_seconds_stay_seconds(tmp_path: Path) -> None:
     for seconds in (100 * np.arange(12), 30 * np.arange(40), np.array([0, 120, 240, 300, 420, 540, 600, 720])):
         assert a_drift(tmp_path, "Time", [str(s) for s in seconds]) == pytest.approx(seconds.astype(float))
@@ -153,6 +159,13 @@ def test_a_clock_of_twelve_hours_passes_noon(tmp_path: Path) -> None:
     minutes = np.arange(10 * 60, 15 * 60, 5)
     texts = [f"{m // 60 % 12 or 12}:{m % 60:02d}" for m in minutes]
     assert a_drift(tmp_path, "Time", texts) == pytest.approx(60.0 * (minutes - minutes[0]))
+
+
+def test_a_clock_of_twelve_hours_after_a_long_break_is_asked(tmp_path: Path) -> None:
+    minutes = [*range(600, 720, 5), *range(810, 960, 5)]
+    texts = [f"{m // 60 % 12 or 12}:{m % 60:02d}" for m in minutes]
+    with pytest.raises(DataError, match="'1:30' follows '11:55': in the afternoon, or the next day"):
+        a_drift(tmp_path, "Time", texts)
 
 
 @pytest.mark.parametrize("marks", ["LR", " L R", "-a-b"])
