@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
 CLEARLY_LESS = 0.9  # of the held-out rms of the polynomial, by judgement: it also smooths, and measured points do not
-_POLYNOMIAL = re.compile(r"\{term: (offset|chebyshev|backlash)\b")
-_OTHERWISE = re.compile(r"^ +# (instead of the three|terms: \[\{term: measured_points)")
+# The line of a template with what else may describe the curve, and the line above it.
+_ALTERNATIVE = re.compile(r"(?m)^ +# instead of the three[^\n]*\n +# terms: \[(\{[^}]*\})\]\n")
+_TERM = re.compile(r"^ +- \{term: ")
 
 
 def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
@@ -23,19 +24,18 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
 
     The points must leave clearly less in all, and less in every one, of the runs that are held out.
     """
-    found = re.search(r"\{term: chebyshev, axis: ([^,}]+)", text)
+    found = _ALTERNATIVE.search(text)
     if found is None or recording is None:
         return text, []
-    points = _with_points(text, f"{{term: measured_points, axis: {found[1]}}}")
+    points = _with_term(text.replace(found[0], ""), found[1])
     try:
         cleaned = clean(recording)[0]
     except DataError:
         return text, []
     if (scheme := _init_heat.scheme_of(cleaned)) is None:
         return text, []
-    of_polynomial, of_points = (
-        _init_heat.held_out_residuals(cleaned, scheme, _init_heat.family_of(_without_heat(way))) for way in (text, points)
-    )
+    families = [_init_heat.family_of(_without_heat(way)) for way in (text, points)]
+    of_polynomial, of_points = (_init_heat.held_out_residuals(cleaned, scheme, family) for family in families)
     if of_polynomial is None or of_points is None:
         return text, []
     before, after = _init_heat.rms(of_polynomial), _init_heat.rms(of_points)
@@ -47,14 +47,15 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     return points.replace("@WHY@", why), [why]
 
 
-def _with_points(text: str, term: str) -> str:
+def _with_term(text: str, term: str) -> str:
+    """The pipeline with one term in place of those that need no temperature."""
     lines, first = list[str](), True
     for line in text.splitlines():
-        if _POLYNOMIAL.search(line):
-            lines += [f"{line[: line.index('{')]}{term}   # @WHY@"] if first else []
-            first = False
-        elif not _OTHERWISE.match(line):
+        if not _TERM.match(line) or _init_heat.WARM in line:
             lines.append(line)
+        elif first:
+            lines.append(f"{line[: line.index('{')]}{term}   # @WHY@")
+            first = False
     return "\n".join([*lines, ""])
 
 
