@@ -5,7 +5,7 @@ python -m trials.faults_in_use [--seed 1] [--machines gantry,grinder] [--json FI
 Ten days of each machine of `shop_floor` are fitted and exported by the public commands; the table then runs an
 eleventh day cycle by cycle, as a controller does, with a fault from the third hour on. Faults of one sensor are
 applied to each in turn, and the worst counts. The kernels run the table: the C runtime and the function blocks give
-their bits (`tests/faults`). Ends with 1 where a fault leaves more than no compensation.
+their bits (`tests/faults`). Ends with 1 where a fault leaves more than no compensation, unless that is `EXPECTED`.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ ONSET = int(2.5 * 3600)  # s after the start of the day
 HOUR = 3600
 OUTAGE = 600  # s without power
 TOLERANCE = 1.05  # times no compensation: a correction of nothing with the noise of its sensors
+ZERO_KEPT = "restart, states lost, zero as before"
+# No table can know what a machine had grown before it was switched on: it stays as an offset, also once the machine has
+# cooled. Checklists ask for a new zero (`_checklist.FROM_THE_START`; docs/safety.md).
+EXPECTED = (ZERO_KEPT,)
 SAYS = ("substituted", "held", "defaulted", "fading", "faded", "waiting")
 PIPELINE = f"""\
 pipeline: 1
@@ -199,7 +203,7 @@ def courses(use: Use) -> Iterator[tuple[str, list[Course]]]:
     out = np.r_[every[:ONSET], every[ONSET + OUTAGE :]]
     yield "10 min without calls, states kept", [Course(clean, out)]
     yield "an hour without calls, states kept", [Course(clean, np.r_[every[:ONSET], every[ONSET + HOUR :]])]
-    yield "restart, states lost, zero as before", [Course(clean, out, (ONSET,))]
+    yield ZERO_KEPT, [Course(clean, out, (ONSET,))]
     yield "restart, states lost, zero set again", [Course(clean, out, (ONSET,), ONSET + OUTAGE)]
     yield "every tenth call missing", [Course(clean, every[every % 10 != 9])]
     for word, period in (("longer", 1.2), ("shorter", 0.8)):
@@ -218,7 +222,7 @@ def worst_of(use: Use) -> dict[str, tuple[Outcome, list[bool]]]:
 
 
 def report(found: dict[str, dict[str, tuple[Outcome, list[bool]]]]) -> tuple[str, int]:
-    """The table, and the number of faults with which a machine is left worse than without compensation."""
+    """The table, and how many faults leave a machine worse than no compensation without being `EXPECTED`."""
     lines = ["| fault | " + " | ".join(f"{kind}: left of, um; in 1 s, um; said" for kind in found) + " |"]
     lines.append("| --- |" + " --- |" * len(found))
     worse = 0
@@ -226,8 +230,9 @@ def report(found: dict[str, dict[str, tuple[Outcome, list[bool]]]]) -> tuple[str
         cells = []
         for by_fault in found.values():
             o, said = by_fault[name]
-            harmful = o.left > TOLERANCE * o.none or o.step > 1.0 + 1e-6
-            worse += harmful
+            more, steps = o.left > TOLERANCE * o.none, o.step > 1.0 + 1e-6
+            harmful = more or steps
+            worse += steps or (more and name not in EXPECTED)
             mark = "**" if harmful else ""
             cells.append(f"{mark}{o.left:.2f}{mark} of {o.none:.1f}; {o.jump:.2f}; {sum(said)}/{len(said)}")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
@@ -235,7 +240,7 @@ def report(found: dict[str, dict[str, tuple[Outcome, list[bool]]]]) -> tuple[str
 
 
 def main() -> int:
-    """Print the table; 1 where a fault leaves more than no compensation, or a step above the slew limit."""
+    """Print the table; 1 where a fault that is not expected leaves more than none, or a step above the slew limit."""
     parser = argparse.ArgumentParser(description="Sensors and controllers that fail in use.")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--machines", default=",".join(shop_floor.KINDS))

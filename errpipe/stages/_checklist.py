@@ -43,8 +43,8 @@ ALONE = (
 )
 NOT_ASSESSED = "not assessed: in settled states the table, counted from its start, is 0; its lags are lost"
 FROM_THE_START = (
-    "{0}: the correction is 0 at each start of the table and counts from there: set the zero (tool, datum) then. After "
-    "a restart while warm, without a new zero, what had grown before is missing"
+    "{0}: the correction is 0 at each start of the table and counts from there: set the zero (tool, datum) then, and "
+    "again after a restart while warm: otherwise the deviation at the restart stays as an offset, even once cooled"
 )
 CHECK_THE_SIGN = (
     f"**{_artefacts.SIGN_NOTE}.** Before "

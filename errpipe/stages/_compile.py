@@ -78,8 +78,9 @@ def _table_of(
     from errpipe.fitting.lowering import lower, uncompensated_terms
     from errpipe.stages import _inputs
 
+    held = guard.held if guard is not None else ()
     lowered = {
-        name: [replace(p, driver=_inputs.bounded(p.driver, model)) for p in pairs]
+        name: [replace(p, driver=_inputs.bounded(p.driver, model, held)) for p in pairs]
         for name, pairs in lower(model).items()
     }
     empty = [name for name, pairs in lowered.items() if not pairs]

@@ -33,7 +33,7 @@ MAX_COMPARED, MAX_INDIVIDUAL = 6, 15  # compared with each other; monitored indi
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
 # per sensor monitored individually; without those of the rules.
 NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 49, 18, 18
-NODES_KEPT = 6  # per sensor that is kept consistent with those that are compared
+NODES_KEPT, NODES_HELD = 6, 1  # per sensor that is kept consistent with those that are compared; that is held
 MAX_COST = 0.03  # relative increase of the held-out residual with healthy sensors
 # Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
 # 0.7, 4 instead of 2 of 115 frozen sensors exceed no compensation.
@@ -148,9 +148,11 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     names = _most(influence, max_count)
     free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
     others = {n: of for n, of in influence.items() if n not in names}
-    lags = sum(isinstance(n, LagNode) for n in baseline.plain.nodes)  # a node more for each
-    kept = _most(others, max((free - lags) // NODES_KEPT, 0)) if len(names) > 1 else ()
+    free -= sum(isinstance(n, LagNode) for n in baseline.plain.nodes)  # a node more for each
+    count = (free - NODES_HELD * len(others)) // (NODES_KEPT - NODES_HELD)  # the others may be held
+    kept = _most(others, max(count, 0)) if len(names) > 1 else ()
     unmonitored = {n: of for n, of in others.items() if n not in kept}
+    little = _of_little(unmonitored, free - NODES_KEPT * len(kept))
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
@@ -158,7 +160,7 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     except DataError as why:
         return _one_by_one(baseline, held, str(why), scheme)
     guard, accuracy = _with_substitutes(baseline, held, guard, folds)
-    guard, cost = _affordable(baseline, held, guard.model_copy(update={"held": _of_little(unmonitored)}), folds)
+    guard, cost = _affordable(baseline, held, guard.model_copy(update={"held": little}), folds)
     if cost > MAX_COST:
         return _one_by_one(
             baseline, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
@@ -208,12 +210,15 @@ def _most(influence: Mapping[str, tuple[float, float]], count: int) -> tuple[str
     return tuple(n for n in influence if n in ranked)
 
 
-def _of_little(influence: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
-    """Temperatures, those of the smallest effect first, that together change the table by at most `MAX_HELD`."""
-    total, out = 0.0, []
+def _of_little(influence: Mapping[str, tuple[float, float]], free: int) -> tuple[str, ...]:
+    """Temperatures, those of the smallest effect first, that together change the table by at most `MAX_HELD`.
+
+    free: nodes of the table.
+    """
+    total, out = 0.0, list[str]()
     for name in sorted(influence, key=lambda n: influence[n][1]):
         total += influence[name][1]
-        if total > MAX_HELD:
+        if total > MAX_HELD or NODES_HELD * (len(out) + 1) > free:
             break
         out.append(name)
     return tuple(n for n in influence if n in out)
@@ -342,11 +347,12 @@ def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | Non
     influence = _influences(baseline, held)
     names = _most(influence, max_count)
     unmonitored = {n: of for n, of in influence.items() if n not in names}
+    little = _of_little(unmonitored, baseline.free_nodes() - len(names) * (NODES_ALONE + _nodes_of_rules()))
     try:
         guard, folds = _learn(held, names, scheme, learn.limits)
     except DataError as lacking:
         return no_guard(f"{why}; {lacking}")
-    guard, cost = _affordable(baseline, held, guard.model_copy(update={"held": _of_little(unmonitored)}), folds)
+    guard, cost = _affordable(baseline, held, guard.model_copy(update={"held": little}), folds)
     if cost > MAX_COST:
         return no_guard(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
     symptoms = ", or ".join(rule.symptom for rule in RULES)

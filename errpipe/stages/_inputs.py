@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from errpipe.domain import driver as d
 from errpipe.domain.components import is_rotary
 from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.recording import Recording
-from errpipe.domain.table import LARGEST_NUMBER, Kind, TableInput
+from errpipe.domain.table import Kind, TableInput
 from errpipe.domain.table_text import AXIS, NAME, text_problem
 from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
@@ -75,21 +75,10 @@ def table_inputs(
         healthy |= {s.name: s for s in guard.kept}
     inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in compared_only else c for c in inputs]
     inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
-    return [_unmonitored(c, model, guard) if healthy and c.name not in healthy else c for c in inputs]
-
-
-def _unmonitored(channel: TableInput, model: ErrorModel, guard: SensorGuard | None) -> TableInput:
-    """A channel that a guard leaves out: if it is lost the table fades, unless its last reading is to be held.
-
-    A held one counts no further beyond its recorded range than that range is wide: a failed input drifts to any value.
-    """
-    if channel.kind != "sensor":
-        return channel
-    seen = model.validity.ranges.get(channel.name)
-    if guard is None or channel.name not in guard.held or seen is None:
-        return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + FADE_S})
-    width = seen[1] - seen[0]
-    return channel.model_copy(update={"valid": (seen[0] - width, seen[1] + width), "margin": LARGEST_NUMBER})
+    held = guard.held if guard is not None else ()
+    unguarded = [c for c in inputs if healthy and c.kind == "sensor" and c.name not in (*healthy, *held)]
+    holds = {c.name: {"hold_s": (c.stale_after_s or 0.0) + FADE_S} for c in unguarded}  # then lost: the table fades
+    return [c.model_copy(update=holds.get(c.name, {})) for c in inputs]
 
 
 def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
@@ -170,18 +159,31 @@ def _channel(name: str, facts: Mapping[str, Any], model: ErrorModel) -> TableInp
     return TableInput(name=name, kind=kind, axis=axis, unit=unit, low=low, high=high, stale_after_s=stale, **extra)
 
 
-def bounded(driver: d.Driver, model: ErrorModel) -> d.Driver:
-    """A driver in which a velocity counts no further than `BEYOND`; its sign, the direction, is read at any speed."""
+def bounded(driver: d.Driver, model: ErrorModel, held: Collection[str] = ()) -> d.Driver:
+    """A driver in which velocities and held temperatures count within `_limits`.
+
+    The sign of a velocity, the direction, is read at any speed.
+    """
     if isinstance(driver, d.Input):
-        largest = max(map(abs, model.validity.ranges.get(driver.name, (0.0,))))
-        if model.columns.get(driver.name, {}).get("role") != "velocity" or not largest:
-            return driver
-        return d.Clip(of=driver, low=-BEYOND * largest, high=BEYOND * largest)
+        limits = _limits(driver.name, model, held)
+        return driver if limits is None else d.Clip(of=driver, low=limits[0], high=limits[1])
     of = getattr(driver, "of", None)
     if of is None:
         return driver
-    inside = tuple(bounded(x, model) for x in of) if isinstance(of, tuple) else bounded(of, model)
+    inside = tuple(bounded(x, model, held) for x in of) if isinstance(of, tuple) else bounded(of, model, held)
     return driver.model_copy(update={"of": inside})
+
+
+def _limits(name: str, model: ErrorModel, held: Collection[str]) -> tuple[float, float] | None:
+    """How far a velocity counts, `BEYOND`, and a held temperature: by the width of its recorded range beyond it.
+
+    A failed input may drift to any value. A model with validity fades there instead.
+    """
+    low, high = model.validity.ranges.get(name, (0.0, 0.0))
+    largest, width = max(abs(low), abs(high)), high - low
+    if model.columns.get(name, {}).get("role") == "velocity":
+        return (-BEYOND * largest, BEYOND * largest) if largest else None
+    return (low - width, high + width) if name in held and width and not model.validity.fades else None
 
 
 def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""A table that keeps sensors consistent with others: the same bits in all evaluators, whatever these sensors read."""
+"""A table that keeps sensors consistent with others, or holds them: the same bits in all evaluators."""
 
 from __future__ import annotations
 
@@ -22,11 +22,19 @@ ALLOWED = 0.8  # um: each counts 0.3 um/K, and its noise and clipping 0.5 um
 
 
 @pytest.fixture(scope="module")
-def table():
+def tables():
+    """Of one model: the further sensors kept; held."""
     rows = nine(8, 5)
     model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
-    guard = learn.learn(rows, COMPARED, KEPT)
-    return compile_model(model, CompileOptions(position_cycle=CYCLE, thermal_cycle=CYCLE), guard, rows)
+    options = CompileOptions(position_cycle=CYCLE, thermal_cycle=CYCLE)
+    holds = learn.learn(rows, COMPARED).model_copy(update={"held": KEPT})
+    guards = {"kept": learn.learn(rows, COMPARED, KEPT), "held": holds}
+    return {name: compile_model(model, options, guard, rows) for name, guard in guards.items()}
+
+
+@pytest.fixture(scope="module")
+def table(tables):
+    return tables["kept"]
 
 
 def day(table, wrong: dict[str, float]) -> list[Part]:
@@ -56,8 +64,10 @@ WRONG = (
 )
 
 
+@pytest.mark.parametrize("way", ["kept", "held"])
 @pytest.mark.parametrize("wrong", [*WRONG[3:], *(pytest.param(w, marks=pytest.mark.slow) for w in WRONG[:3])])
-def test_reference_and_kernels_agree_to_the_bit(table, monkeypatch, wrong):
+def test_reference_and_kernels_agree_to_the_bit(tables, monkeypatch, wrong, way):
+    table = tables[way]
     monkeypatch.setattr(runners, "table", lambda number: table)
     parts = day(table, wrong)
     values = runners.by_reference(parts)
@@ -66,8 +76,10 @@ def test_reference_and_kernels_agree_to_the_bit(table, monkeypatch, wrong):
 
 @needs_gcc
 @toolchain
+@pytest.mark.parametrize("way", ["kept", "held"])
 @pytest.mark.parametrize("name", ["C, double", "Structured Text"])
-def test_compiled_evaluators_give_the_same_bits(table, monkeypatch, tmp_path, name):
+def test_compiled_evaluators_give_the_same_bits(tables, monkeypatch, tmp_path, name, way):
+    table = tables[way]
     monkeypatch.setattr(runners, "table", lambda number: table)
     monkeypatch.setattr(runners, "_bytes", lambda number: ect.dumps(table))
     run = campaign.compiled(name, tmp_path, table)
@@ -93,3 +105,17 @@ def test_a_sensor_without_a_reading_since_a_restart_leaves_no_correction(table, 
     assert np.abs(lost - healthy)[hour < 3.5].max() < ALLOWED
     assert not lost[(hour > 3.7) & (hour < 4.5)].any() and np.abs(lost[(hour > 4.7) & (hour < 7.0)]).max() > 2.0
     assert np.ptp((lost - healthy)[hour >= 7.0]) < ALLOWED
+
+
+def test_a_held_sensor_keeps_its_last_reading_and_counts_no_further_than_its_limit(tables, monkeypatch):
+    """A failed input that drifts moves the correction as one at the limit, at last; validity is that of the model."""
+    table = tables["held"]
+    monkeypatch.setattr(runners, "table", lambda number: table)
+    seen = nine(8, 5).array("T_9")
+    limit = 2.0 * float(seen.max()) - float(seen.min())
+    healthy, lost, at_limit, beyond = (  # before the restart
+        runners.by_numba(day(table, wrong)[:1]) for wrong in ({}, {"T_9": np.nan}, {"T_9": limit}, {"T_9": limit + 45})
+    )
+    assert all(i.valid is None for i in table.inputs)
+    assert np.abs(lost - healthy).max() < 2.0 < np.abs(at_limit - healthy)[-1]
+    assert np.abs(beyond - at_limit)[-1] < 0.2  # 45 K are 13 um

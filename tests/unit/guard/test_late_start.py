@@ -71,6 +71,16 @@ def test_the_rise_before_the_first_reading_is_added(guard, name):
     assert np.sqrt(np.mean((added - lacks) ** 2)) < 0.5 * np.sqrt(np.mean(lacks**2))
 
 
+def test_the_start_follows_the_sensor_that_it_follows_in_the_recording():
+    """The first of four starts half the way from their mean to the second: its weights and offset are found."""
+    start = 20.0 + np.random.default_rng(1).normal(0.0, 3.0, (200, 4))
+    mean = start[:, 1:].mean(axis=1)
+    start[:, 0] = 2.0 + mean + 0.5 * (start[:, 1] - mean)
+    weights, usual = learn._start_of(0, start)
+    np.testing.assert_allclose(weights, [0.0, 2 / 3, 1 / 6, 1 / 6], atol=0.02)
+    np.testing.assert_allclose(start @ weights + usual, start[:, 0], atol=0.2)
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("name", OFFSETS)
 def test_no_more_is_added_than_the_sensor_ever_rose_soon_after_a_start(guard, healthy, name, side):

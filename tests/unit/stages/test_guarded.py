@@ -233,6 +233,10 @@ def test_temperatures_of_little_influence_are_held_and_others_fade(kept):
         fading = _guarded.choose_guard(judge, None)
     assert len(found.guard.held) == 3 and "T_9" in found.guard.held and "keeps its last reading" in found.sentence
     assert not fading.guard.held and "fades if one is lost" in fading.sentence
+    taken = len(judge.compiled(found.guard).nodes) - len(judge.compiled(fading.guard).nodes)
+    assert taken == 3 * _guarded.NODES_HELD
+    little = {f"T_{k}": (0.0, 0.1) for k in range(4)}
+    assert len(_guarded._of_little(little, 3)) == 3 and not _guarded._of_little(little, -1)
     fresh = nine(4, 6)
     gone = fresh.with_columns({"T_9": np.where(fresh.time() >= 7200.0, np.nan, fresh.array("T_9"))}, {})
     last = fresh.time() == fresh.time().max()

@@ -121,6 +121,19 @@ def test_gains_that_one_run_alone_supports_are_not_added(sizes: tuple[float, ...
     assert (rms(left) < 0.1 * without) == added
 
 
+@pytest.mark.parametrize(("beyond", "learnt"), [(1e-14, False), (1e-9, False), (0.1, True)])
+def test_differences_of_later_starts_of_rounding_size_teach_nothing(beyond: float, learnt: bool) -> None:
+    """Two sensors 0 or 0.4 K apart at the starts, and later 0.8 K, where what is beyond those recorded begins."""
+    whole = days(1, 10)
+    run, room = whole.run_codes(), np.round(whole.array("T_room"), 1)
+    apart = np.where(np.diff(run, prepend=-1) != 0, 0.4 * (run % 2), 0.8 + beyond)
+    columns = {n: c for n, c in whole.manifest.columns.items() if n != "T_flange"}
+    frame = whole.frame[[*columns]].assign(T_room=room, T_spindle=room + apart, E_Z=3.0 * room)
+    recording = Recording(whole.manifest.model_copy(update={"columns": columns}), frame)
+    report = Lagged(component="E_Z").train(recording).report
+    assert (report["later_starts"] is not None) == learnt
+
+
 def test_a_later_start_is_left_out_with_its_run() -> None:
     """A run whose deviation is another one changes the predictions of the other runs, and none of its own."""
     whole = days(1, 6)
