@@ -155,9 +155,9 @@ def refuse_clock_set_back(c: RawColumn, since: np.ndarray) -> None:
             "change: write the date of each row"
         )
     noon = (steps[back] + _HALF_A_DAY > 0.0) & (steps[back] + _HALF_A_DAY <= LONGEST_NOON)
-    if noon.any() and {int(str(c.cells[i]).partition(":")[0]) for i in rows if _CLOCK.fullmatch(str(c.cells[i]))} <= {
-        *range(1, 13)
-    }:
+    clocks = [m for i in rows if (m := _CLOCK.fullmatch(str(c.cells[i]))) is not None]  # none if each has a date
+    hours = {int(m[0].partition(":")[0]) for m in clocks}
+    if noon.any() and len(clocks) == rows.size and hours <= {*range(1, 13)}:
         before, after = pairs[int(np.argmax(noon))]
         raise DataError(
             f"column {c.header!r}: {after!r} follows {before!r}: in the afternoon, or the next day? Write hours up to "

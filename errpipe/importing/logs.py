@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -21,6 +22,7 @@ LARGEST_SHIFT = 900.0  # s, by judgement: clocks that are set by hand differ by 
 MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks; by judgement
 SAME_MISFIT = 0.01  # of the range: differences that noise explains; by judgement
 CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; by judgement, tried on logs shifted by -240 to 180 s
+Period = tuple[datetime, datetime] | None  # first and last row of a log; None without dates
 STALE_STEPS = 10.0  # steps of a log, by judgement: an older reading is not used for the row
 
 
@@ -30,7 +32,7 @@ def add_logs(p: Proposal, parts: Mapping[Path, Proposal], inside: Mapping[Path, 
     inside: the folders of a file within a folder or archive from the user.
     """
     stems = dict(zip(parts, names_of_files([*parts], inside), strict=True))
-    devices = [[stems[file] for file in files] for files in _of_one_log(parts)]
+    devices = [[stems[file] for file in files] for files in _of_one_log(parts, stems)]
     by_name = {stems[file]: part for file, part in parts.items()}
     logs = [concatenate_files([by_name[name] for name in names], names) for names in devices]
     times = {log.first("time") for log in logs}
@@ -39,36 +41,67 @@ def add_logs(p: Proposal, parts: Mapping[Path, Proposal], inside: Mapping[Path, 
         _add_log(p, log, names, {name for name, devices_of in count.items() if devices_of > 1})
 
 
-def _of_one_log(parts: Mapping[Path, Proposal]) -> list[list[Path]]:
-    """Files without deviations by log: a logger writes a file a day, and some may lack a temperature of the others."""
-    groups: list[list[Path]] = []
+def _of_one_log(parts: Mapping[Path, Proposal], stems: Mapping[Path, str]) -> list[list[Path]]:
+    """Files without deviations by log: a logger writes a file a day, and some may lack a temperature of the others.
+
+    stems: names of the files. Raises DataError where several devices may have written a file.
+    """
+    periods = {file: _first_and_last(part) for file, part in parts.items()}
+    device = {file: re.sub(r"[\W\d_]+", "", stem).lower() for file, stem in stems.items()}  # `bed` of `bed_2025-03-12`
+
+    def add(files: list[Path], groups: list[list[Path]]) -> None:
+        fitting = [
+            group
+            for group in groups
+            if all(_of_one_logger(parts[o], parts[f], periods[o], periods[f]) for o in group for f in files)
+        ]
+        if len(fitting) > 1:
+            raise DataError(
+                f"{stems[files[0]]}: does it go on {' or '.join(stems[group[0]] for group in fitting)}, which are of "
+                "one period, and so of several devices? Name the files by their device, as bed_1, bed_2 and nut_1"
+            )
+        if fitting:
+            fitting[0] += files
+        else:
+            groups.append([*files])
+
+    by_device: dict[str, list[list[Path]]] = {}
     for file in sorted(parts, key=lambda f: -len(parts[f].entries)):
-        own = [files for files in groups if all(_of_one_logger(parts[other], parts[file]) for other in files)]
-        groups += [] if own else [[]]
-        (own or groups[-1:])[0].append(file)
+        add([file], by_device.setdefault(device[file], []))
+    groups: list[list[Path]] = []  # `monday` and `tuesday` are of one device, if nothing was recorded at once
+    for files in sorted(itertools.chain(*by_device.values()), key=lambda files: -len(parts[files[0]].entries)):
+        add(files, groups)
     order = [*parts].index
     return sorted((sorted(files, key=order) for files in groups), key=lambda files: order(files[0]))
 
 
-def _of_one_logger(whole: Proposal, part: Proposal) -> bool:
+def _first_and_last(p: Proposal) -> Period:
+    """The period of a log."""
+    start, seconds = epoch_of(p), np.asarray(p.data.get(p.first("time") or "", []), dtype=float)
+    if start is None or not np.isfinite(seconds).any():
+        return None
+    return start + timedelta(seconds=float(np.nanmin(seconds))), start + timedelta(seconds=float(np.nanmax(seconds)))
+
+
+def _of_one_logger(whole: Proposal, part: Proposal, here: Period, there: Period) -> bool:
     """Whether two logs have the same columns, or the second lacks temperatures, and they are of different periods.
 
     In one period two files of one layout are of two devices, unless their readings of equal times are equal.
+    here, there: their periods.
     """
     alike = whole.entries.keys() == part.entries.keys()
-    start, own, time = epoch_of(whole), epoch_of(part), whole.first("time") or ""
-    if start is None or own is None or (start.tzinfo is None) != (own.tzinfo is None):
+    if here is None or there is None or (here[0].tzinfo is None) != (there[0].tzinfo is None):
         return alike  # refused, with the reason, where they are merged
     if not alike and (part.first("temperature") is None or lacking(whole, part) is None):
         return False
-    here, there = whole.data[time], part.data[time] + (own - start).total_seconds()
-    apart = bool(np.nanmax(here) < np.nanmin(there) or np.nanmax(there) < np.nanmin(here))
-    return apart or (alike and _written_twice(whole, part, time, (here, there)))
+    return here[1] < there[0] or there[1] < here[0] or (alike and _written_twice(whole, part))
 
 
-def _written_twice(whole: Proposal, part: Proposal, time: str, times: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Whether two logs have times in common, and equal readings at all of these."""
-    here, there = times
+def _written_twice(whole: Proposal, part: Proposal) -> bool:
+    """Whether two logs with dates have times in common, and equal readings at all of these."""
+    start, own, time = epoch_of(whole), epoch_of(part), whole.first("time") or ""
+    here, there = whole.data[time], part.data[time]
+    there = there + (own - start).total_seconds() if start is not None and own is not None else there
     _, at, again = np.intersect1d(np.round(here, 3), np.round(there, 3), return_indices=True)
     read = [n for n, v in whole.data.items() if n != time and isinstance(v, np.ndarray)]
     same = (np.array_equal(whole.data[n][at], part.data[n][again], equal_nan=True) for n in read)
@@ -112,7 +145,10 @@ def _add_log(p: Proposal, log: Proposal, stems: Sequence[str], of_several: Colle
     _refuse_other_clock(p, log, logged, at, (stem, log_time, step))
     of_run = p.data.get(p.first("run") or "", [""] * at.size)
     p.notes += daylight_saving.note(stem, of_run, at, logged[log_time].to_numpy(), STALE_STEPS * step)
-    names = {n: slug(f"{stem}_{n}") if n in p.entries or n in of_several else n for n in logged if n != log_time}
+    names: dict[str, str] = {}
+    for n in (str(n) for n in logged if n != log_time):
+        name = slug(f"{stem}_{n}") if n in p.entries or n in of_several else n
+        names[n] = _not_in({*p.entries, *names.values()}, name)
     logged = logged.rename(columns={log_time: time, **names})
     if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):
         values = logged.drop(columns=time).reindex(np.where(fresh, latest, -1)).reset_index(drop=True)
@@ -128,6 +164,11 @@ def _add_log(p: Proposal, log: Proposal, stems: Sequence[str], of_several: Colle
         p.put(name, None, log.guesses.get(n, ""), **{**log.entries[n], **place})
     numeric = {n: pd.api.types.is_numeric_dtype(both[n]) for n in both}
     p.data = {n: both[n].to_numpy(float) if numeric[n] else both[n].fillna("").tolist() for n in both}
+
+
+def _not_in(taken: Collection[str], name: str) -> str:
+    """The name, or the first of name_2, name_3 ... that is free: `bed-1` and `bed 1` are `bed_1` as columns."""
+    return next(n for n in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if n not in taken)
 
 
 def _same_day(p: Proposal, other: datetime, own: datetime, notes: list[str]) -> datetime:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 
-from errpipe.importing.sheet import Cell, Sheet, filled_cells, label, number
+from errpipe.importing.sheet import Cell, Rows, Sheet, filled_cells, label, number
 from errpipe.importing.units import unit_of
 
 _VALUE = r"[+-]?\s?(?:\d+(?:[.,]\d+)*|[.,]\d+)(?:[eE][+-]?\d+)?"
@@ -21,7 +21,8 @@ _STAMP = re.compile(  # a time stamp or a counter before the values
 _INDEX = re.compile(r"\[\d+\]$|(?<=#)\d+$")  # `VC[12]`, `#101`: values with an index instead of a name
 _TICKS = re.compile(r"\d{10,19}")  # of a line protocol: the time stamp after all values
 _OF_A_MEASUREMENT = re.compile(r"([^\s,=]+(?:,[^\s,=]+=[^\s,=]+)*) ([^\s,=]+=\S+) (\d{10,19})")
-SAMPLE_ROWS = 500  # evenly over the file
+SAMPLE_ROWS = 500  # spread over the file
+_STRIDE = 7919  # rows: a prime, so that a record of a few lines is not met at the same line each time
 FEWEST_ROWS = 3  # of a table
 MOSTLY = 0.8  # share of the lines that are names and values; share of the rows that contain a name
 
@@ -54,9 +55,13 @@ def tabled(sheet: Sheet) -> Sheet:
 
 def _may_name_values(sheet: Sheet) -> bool:
     """Whether a sample of the rows has enough lines of names and values: the rows of a long table are not all tried."""
-    sample = [[label(c) for c in filled_cells(row)] for row in sheet.rows[:: max(1, len(sheet.rows) // SAMPLE_ROWS)]]
+    sample = [[label(c) for c in filled_cells(row)] for row in _sampled(sheet.rows)]
     lines = [[line for row in sample if re.search(r"\w", line := mark.join(row))] for mark in (" ", ",")]
     return any(sum(bool(_pairs(line)) for line in of_mark) >= MOSTLY / 2.0 * len(of_mark) for of_mark in lines)
+
+
+def _sampled(rows: Rows) -> Rows:
+    return [rows[k * _STRIDE % len(rows)] for k in range(min(SAMPLE_ROWS, len(rows)))]
 
 
 def _of_measurements(sheet: Sheet, lines: list[str]) -> Sheet | None:

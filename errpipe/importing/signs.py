@@ -285,13 +285,18 @@ _READINGS_OR_SIGNS = re.compile(
 )
 
 
+def states_a_sign(line: str) -> bool:
+    """Whether a text beside a table, a README or a comment of a cell, states the sign of its readings."""
+    if _SIGNED.search(line) and not _READINGS_OR_SIGNS.search(words.plain(line)):
+        return False  # `please sign in`
+    return words.difference(line) is not None or _titles_corrections(line) or _is_sign_statement(line)
+
+
 def refuse_beside(p: Proposal, lines: Iterable[str], of: object) -> None:
     """Raise DataError if a text beside the table states a sign that the table does not: a README, a sheet of notes."""
     for line in lines if any(ASSUMED in why for why in p.guesses.values()) else ():
-        if _SIGNED.search(line) and not _READINGS_OR_SIGNS.search(words.plain(line)):
-            continue  # `please sign in`
         stated = words.difference(line)
-        if stated[0] <= 0 if stated else _titles_corrections(line) or _is_sign_statement(line):
+        if states_a_sign(line) and (stated is None or stated[0] <= 0):
             raise DataError(
                 f"{of} states {line.strip()[:60]!r}, and the table no sign: declare it with --sign "
                 "actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"

@@ -305,8 +305,9 @@ def merged_targets(layout: Layout, guesses: guessing.Guesses) -> Layout:
     at, reading = np.arange(filled.size), np.any(read, axis=0)
     for r in np.flatnonzero(~filled[1:] & reading[1:] & np.isfinite(side[1:])) + 1:
         at[r] = r - 1 if filled[r - 1] and side[r - 1] == -side[r] else r
-    of_run = [np.isfinite(c.values) for c in layout.columns if kinds[c.header] == "run" and c.unit is None]
-    within = (np.arange(filled.size) < np.flatnonzero(filled)[-1]) | np.any([~filled & False, *of_run], axis=0)
+    within = np.arange(filled.size) < np.flatnonzero(filled)[-1]
+    for c in layout.columns:
+        within |= _labelled_alike(c, filled) if kinds[c.header] == "run" and c.unit is None else False
     left = ~np.isfinite(place.values[at]) & reading & within
     for r in np.flatnonzero(left):  # `Mean` of each target is not a reading
         left[r] = not any(isinstance(c.cells[r], str) and statistic(str(c.cells[r])) for c in layout.columns)
@@ -322,6 +323,13 @@ def merged_targets(layout: Layout, guesses: guessing.Guesses) -> Layout:
     whole = place.take(at)
     columns = [whole if c is place else c for c in layout.columns]
     return Layout(columns, layout.above, [*layout.notes, note], layout.below)
+
+
+def _labelled_alike(c: RawColumn, rows: np.ndarray) -> np.ndarray:
+    """Whether each row has a label as these rows have, but for digits: `Run 2` beside `Run 1`, not `Accuracy A`."""
+    texts = [re.sub(r"\d+", "0", label(cell)) for cell in c.cells]
+    known = {text for text, of in zip(texts, rows.tolist(), strict=True) if of and text}
+    return np.array([text in known for text in texts])
 
 
 def refuse_there_and_back(names: Sequence[str], targets: np.ndarray) -> None:

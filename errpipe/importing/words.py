@@ -76,7 +76,10 @@ WORDS: tuple[tuple[str, str], ...] = (
     ),
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (
-        r"\b(backlash|lost motion|umkehrspann?e|umkehrspiel|jeu a l.inversion|gioco|juego|bosluk)\b|反向间隙|反向偏差",
+        # Not `Deviation without backlash`, nor `Error (backlash comp. off)`.
+        r"^(?!.*\b(?:with(?:out)?|w/o|incl\w*|excl\w*|mit|ohne|avec|sans|con|senza|sin|comp\w*|kompens\w*|korr\w*)\b)"
+        r".*\b(?:backlash|lost motion|umkehrspann?e|umkehrspiel|jeu a l.inversion|gioco|juego|bosluk)\b"
+        r"|反向间隙|反向偏差",
         "ignore",
     ),
     (GROUP, "group"),

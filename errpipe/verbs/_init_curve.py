@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from errpipe.cleaning import clean
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
 CLEARLY_LESS = 0.9  # of the held-out rms of the polynomial, by judgement: it also smooths, and measured points do not
+GOLDEN_RATIO = 0.6180339887498949  # its multiples modulo 1 are spread evenly, and near no short cycle
 # The line of a template with what else may describe the curve, and the line above it.
 _ALTERNATIVE = re.compile(r"(?m)^ +# instead of the three[^\n]*\n +# terms: \[(\{[^}]*\})\]\n")
 _TERM = re.compile(r"^ +- \{term: ")
@@ -29,7 +32,7 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         return text, []
     points = _with_term(text.replace(found[0], ""), found[1])
     try:
-        cleaned = clean(recording)[0]
+        cleaned = thinned(clean(recording)[0])
     except DataError:
         return text, []
     if (scheme := _init_heat.scheme_of(cleaned)) is None:
@@ -45,6 +48,15 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     what = holdout.name(scheme)
     why = f"measured points: {what} leaves {after:.3g} um with them, {before:.3g} um with a polynomial"
     return points.replace("@WHY@", why), [why]
+
+
+def thinned(recording: Recording) -> Recording:
+    """About MAX_ROWS of the rows, spread evenly; all if there are no more.
+
+    Not every n-th row: these may be the same target of each run.
+    """
+    kept = np.arange(len(recording)) * GOLDEN_RATIO % 1.0 < _init_heat.MAX_ROWS / max(len(recording), 1)
+    return recording.take(kept)
 
 
 def _with_term(text: str, term: str) -> str:

@@ -69,7 +69,8 @@ def apply(rows: Rows, marks: Marks, where: str) -> list[str]:
         value = float(rows[number[0]][number[1]] or 0.0)
         raise DataError(
             f"{where}: cell {_name(*number)} is {value:g} and shown as {value / 1000:g} (its number format divides by "
-            "1000): which one has the unit of the header? Give its column the format General, and check its numbers"
+            "1000): which one has the unit of the header? Give its column the format General and check its numbers, or "
+            "choose another sheet with --sheet"
         )
     struck = filled(marks.struck)
     for r, c in struck:

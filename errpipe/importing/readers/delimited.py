@@ -80,7 +80,7 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
         lines = _with_prose_quoted(lines)
     if separator == " " and _quotes_words(lines[:SAMPLE_LINES]):
         quoted = csv.reader(lines, delimiter=" ", skipinitialspace=True)
-        cells: Iterable[list[Cell]] = ([word for word in row if word] for row in quoted)
+        cells: Iterable[list[Cell]] = ([word or None for word in row] for row in quoted)
     elif separator == " ":
         cells = _by_blanks(path, lines)
     else:
@@ -116,7 +116,8 @@ def _name_row_names(rows: Rows) -> None:
     width = len(rows[0]) + 1 if rows else 0
     if width < 3 or len(rows) < MIN_WHOLE_ROWS or any(map(_figure, rows[0])):
         return
-    if all(len(row) == width and row[0] == str(r) for r, row in enumerate(rows[1:], start=1)):
+    of_r = all(len(row) == width and row[0] == str(r) for r, row in enumerate(rows[1:], start=1))
+    if of_r and any(row[-1] is not None for row in rows[1:]):  # else a separator ends each row but the first
         rows[0].insert(0, "No.")
 
 

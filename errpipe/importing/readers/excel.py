@@ -9,6 +9,7 @@ from typing import Any
 from errpipe.errors import UsageError, did_you_mean
 from errpipe.importing.readers._workbook_marks import Marks, apply, marks_of
 from errpipe.importing.sheet import ReaderOptions, Rows, Sheet, affordable, cell_of, readable
+from errpipe.importing.signs import states_a_sign
 
 name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
@@ -50,7 +51,8 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
             shown = marks.get(each, Marks())
             notes = apply(rows, shown, f"{path}: {each}")
             rows = _with_merged_numbers(rows, sheet.merged_cell_ranges)
-            sheets.append(Sheet(each, rows, notes=notes, above=shown.comments))
+            on_the_sign = [line for line in shown.comments if states_a_sign(line)]  # others are remarks on a cell
+            sheets.append(Sheet(each, rows, notes=notes, above=on_the_sign))
     return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
 
 

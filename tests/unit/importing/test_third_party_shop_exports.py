@@ -38,8 +38,10 @@ def a_test(folder: Path) -> Path:
     return written(folder / "laser.csv", [f"Time;{';'.join(HEADER)}", *rows])
 
 
-def a_log(path: Path, first: float, step: int, header: str = "Time;Value (°C)") -> Path:
-    lines = [f"{stamp(s)};{first + 0.001 * s:.3f};45" for s in range(-120, 1800, step)]
+def a_log(
+    path: Path, first: float, step: int, header: str = "Time;Value (°C)", period: tuple[int, int] = (-120, 1800)
+) -> Path:
+    lines = [f"{stamp(s)};{first + 0.001 * s:.3f};45" for s in range(*period, step)]
     return written(path, [header, *(line if "%" in header else line[:-3] for line in lines)])
 
 
@@ -66,6 +68,29 @@ def test_logs_of_one_layout_and_period_are_two_sensors(tmp_path: Path) -> None:
     assert warmth(recording, "nut") == pytest.approx(20.0 + 0.001 * seconds, abs=0.01)
     assert warmth(recording, "bed") == pytest.approx(21.0 + 0.001 * seconds, abs=0.06)
     assert "bed" in str(recording.manifest.columns[next(n for n in recording.names("temperature") if "bed" in n)])
+
+
+@pytest.mark.parametrize("names", [("bed_1", "nut_1", "nut_2", "bed_2"), ("bed_1", "nut_2", "bed_2", "nut_1")])
+def test_the_files_of_two_loggers_are_told_apart_by_their_names(tmp_path: Path, names: tuple[str, ...]) -> None:
+    first, half = {"bed": 20.0, "nut": 30.0}, {"1": (-120, 800), "2": (800, 1800)}
+    logs = [a_log(tmp_path / f"{n}.csv", first[n[:3]], 10, period=half[n[-1]]) for n in names]
+    recording = imported(tmp_path, [a_test(tmp_path), *logs])
+    for name, start in first.items():
+        assert warmth(recording, name) == pytest.approx(start + 0.02 * np.arange(78), abs=0.01)
+    one_day = imported(tmp_path / "b", [a_test(tmp_path), *(log for log in logs if log.stem != "bed_2")])
+    assert warmth(one_day, "bed")[-1] != pytest.approx(31.5, abs=1.0)
+
+
+def test_a_file_that_may_be_of_either_logger_is_asked(tmp_path: Path) -> None:
+    day_1 = [a_log(tmp_path / f"LOG{k}.csv", 10.0 + k, 10, period=(-120, 800)) for k in (1, 2)]
+    with pytest.raises(DataError, match=r"LOG3: does it go on LOG1 or LOG2.*Name the files by their device"):
+        prepared([a_test(tmp_path), *day_1, a_log(tmp_path / "LOG3.csv", 12.0, 10, period=(800, 1800))])
+
+
+def test_names_of_files_that_make_one_name_of_a_column(tmp_path: Path) -> None:
+    logs = [a_log(tmp_path / f"bed{mark}1.csv", 20.0 + k, 10) for k, mark in enumerate("- ")]
+    recording = imported(tmp_path, [a_test(tmp_path), *logs])
+    assert sorted(recording.array(n)[0] for n in recording.names("temperature")) == [20.0, 21.0]
 
 
 def test_a_log_that_was_exported_twice_is_one_sensor(tmp_path: Path) -> None:
@@ -129,6 +154,14 @@ def test_a_comment_of_a_workbook_states_the_sign(tmp_path: Path) -> None:
     holds_the_truth(imported(tmp_path, tmp_path / "x.xlsx"))
 
 
+@pytest.mark.parametrize("text", ["please sign here", "see Y axis report"])
+def test_a_comment_of_a_workbook_on_anything_else_is_a_remark(tmp_path: Path, text: str) -> None:
+    book, sheet = workbook(tmp_path)
+    sheet["D1"].comment = Comment(text, "Roth")
+    book.save(tmp_path / "x.xlsx")
+    holds_the_truth(imported(tmp_path, tmp_path / "x.xlsx"))
+
+
 @pytest.mark.parametrize("day", ["Day", "Tag", "day "])
 def test_times_with_the_number_of_the_day(tmp_path: Path, day: str) -> None:
     minutes = np.arange(20 * 60, 30 * 60, 10)
@@ -168,6 +201,12 @@ def test_a_clock_of_twelve_hours_after_a_long_break_is_asked(tmp_path: Path) -> 
         a_drift(tmp_path, "Time", texts)
 
 
+def test_runs_of_one_day_in_any_order_keep_their_dates(tmp_path: Path) -> None:
+    hours = {"1": 11 * 3600, "2": 0, "3": 7200}
+    rows = [f"{stamp(20 * k + hours[r])};{r};{x};{sign(s)};{d}" for k, (r, x, s, d) in enumerate(long_rows())]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", [f"Time;{';'.join(HEADER)}", *rows])))
+
+
 @pytest.mark.parametrize("marks", ["LR", " L R", "-a-b"])
 def test_passes_named_by_letters_are_the_sides_of_one_run(tmp_path: Path, marks: str) -> None:
     up, down = marks[: len(marks) // 2], marks[len(marks) // 2 :]
@@ -176,8 +215,9 @@ def test_passes_named_by_letters_are_the_sides_of_one_run(tmp_path: Path, marks:
     holds_the_truth(imported(tmp_path, file))
 
 
-def test_targets_in_the_rows_of_the_first_run_only_are_refused(tmp_path: Path) -> None:
-    rows = [f"{r};{x if r == '1' else ''};{d}" for r, x, s, d in long_rows() if s > 0]
+@pytest.mark.parametrize("run", ["", "Run "])
+def test_targets_in_the_rows_of_the_first_run_only_are_refused(tmp_path: Path, run: str) -> None:
+    rows = [f"{run}{r};{x if r == '1' else ''};{d}" for r, x, s, d in long_rows() if s > 0]
     file = written(tmp_path / "x.csv", ["Run;Target X (mm);Deviation (um)", *rows])
     with pytest.raises(DataError, match="26 rows contain readings but no 'Target X'"):
         prepared([file])
@@ -197,6 +237,24 @@ def test_a_table_that_r_wrote_with_its_row_names(tmp_path: Path) -> None:
     holds_the_truth(imported(tmp_path, written(tmp_path / "x.txt", [head, *rows])))
     comma = [head.replace('" "', '","'), *(row.replace(" ", ",") for row in rows)]
     holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", comma)))
+    remark = [line.replace('" "', '" "" "', 1) for line in rows]  # an empty text is a cell
+    remark = [head.replace('" "', '" "remark" "', 1), *remark]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.txt", remark)))
+
+
+def test_a_separator_behind_each_row_but_the_first_is_no_column(tmp_path: Path) -> None:
+    rows = [f"{k};{r};{x};{sign(s)};{d};" for k, (r, x, s, d) in enumerate(long_rows(), 1)]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", [f"Nr;{';'.join(HEADER)}", *rows])))
+
+
+def test_records_of_five_lines_in_a_long_file(tmp_path: Path) -> None:
+    records = [
+        ["--- record ---", f"X_SOLL={x}", f"DIR={'PLUS' if s > 0 else 'MINUS'}", f"DEV_UM={d}", f"RUN={r}{k}"]
+        for k in range(13)  # 5070 lines, of which every tenth is one without a value
+        for r, x, s, d in long_rows()
+    ]
+    file = written(tmp_path / "x.txt", [line for record in records for line in record])
+    assert imported(tmp_path, file, axis="X").frame.shape == (len(records), 4)
 
 
 def test_a_dataset_of_ignition(tmp_path: Path) -> None:
@@ -231,6 +289,14 @@ def test_a_backlash_beside_deviations_is_no_deviation(tmp_path: Path) -> None:
         sorted([*deviation(1, 1.0), *deviation(1, -1.0)])
     )
     assert set(recording.array(recording.names("direction")[0])) == {1.0, -1.0}
+
+
+@pytest.mark.parametrize(
+    "name", ["Deviation (backlash comp off)", "Positioning error without backlash", "Abweichung ohne Umkehrspiel"]
+)
+def test_a_deviation_that_names_the_backlash_is_one(tmp_path: Path, name: str) -> None:
+    rows = [f"{r};{x};{sign(s)};{d}" for r, x, s, d in long_rows()]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", [f"Run;Target X (mm);Dir;{name} (um)", *rows])))
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
 from errpipe.simulation import folder as recording_folder
 from errpipe.simulation import sample_recordings
+from errpipe.verbs import _init_curve, _init_heat
 
 
 def _axis(local: float, seed: int = 1) -> Recording:
@@ -44,3 +45,13 @@ def test_a_screw_with_local_errors_gets_measured_points(
 def test_a_smooth_screw_keeps_its_polynomial(tmp_path: Path, seed: int) -> None:
     text = _pipeline(tmp_path, _axis(0.0, seed))
     assert "{term: chebyshev, axis: X, degree: 10}" in text and "{term: backlash, axis: X}" in text
+
+
+def test_a_long_recording_is_judged_on_some_rows_of_every_target() -> None:
+    once = _axis(2.0)
+    often = Recording(once.manifest, pd.concat([once.frame] * 260, ignore_index=True))
+    some = _init_curve.thinned(often)
+    assert 0.98 * _init_heat.MAX_ROWS < len(some) < 1.02 * _init_heat.MAX_ROWS
+    counts = some.frame.groupby(["x", "dir"]).size()
+    assert counts.size == once.frame.groupby(["x", "dir"]).ngroups and counts.min() > 0.8 * counts.max()
+    assert len(_init_curve.thinned(once)) == len(once)
