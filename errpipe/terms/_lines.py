@@ -133,8 +133,8 @@ def harmonics_of_few_places(at: np.ndarray, signal: np.ndarray) -> Iterator[tupl
     """Waves of a few places (1/length) that repeat, and which of their multiples stand out beside them (F test)."""
     places, index = np.unique(at, return_inverse=True)
     mean, span = np.bincount(index, signal) / np.bincount(index), float(places[-1] - places[0])
+    cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / (span or 1.0) - 1, 3)
     for f in waves_of_few_places(at, signal):
-        cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
         orders: list[float] = []
         block = np.column_stack([cubic, waves(places, f)])
         for k in MULTIPLES if f * span >= MIN_REPEATED_TURNS else ():
