@@ -117,9 +117,12 @@ class Machine(FrozenModel):
     @field_validator("axes")
     @classmethod
     def _right_handed(cls, axes: dict[str, Axis], info: ValidationInfo) -> dict[str, Axis]:
-        """Refuses X, Y, Z that count left-handed, unless it is stated, or one counts a carriage's own motion."""
+        """Refuses X, Y, Z that count left-handed, unless it is stated, or one counts a carriage's own motion.
+
+        Pydantic leaves out of `info.data` what is not valid itself, and has said so.
+        """
         three = [axes[letter] for letter in LETTERS if letter in axes]
-        stated = info.data.get("left_handed") or any(a.errors_of == "carriage" for a in three)
+        stated = info.data.get("left_handed", True) or any(a.errors_of == "carriage" for a in three)
         if len(three) < 3 or stated:
             return axes
         x, y, z = (a.direction or LETTERS[n] for n, a in zip(LETTERS, three, strict=True))

@@ -23,8 +23,9 @@ def plain(text: str) -> str:
 
 
 def ascii_text(text: str) -> str:
-    """`plain` without accents and other scripts: not every control reads them, even in a comment."""
-    return plain(unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode())
+    """`plain` without accents, and with _ for other scripts and signs: not every control reads them in a comment."""
+    letters = (c for c in unicodedata.normalize("NFD", text) if not unicodedata.combining(c))
+    return plain("".join(c if c.isascii() else "_" for c in letters))
 
 
 @cache

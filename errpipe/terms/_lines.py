@@ -40,7 +40,7 @@ def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...
     for signal in signals:
         for f in waves_of_few_places(at, signal) if few else peaks(at, signal, STRONGEST):
             for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
-                strongest.add(float(1.0 / max(f + shift / span, 0.5 / span)))
+                strongest.add(float(1.0 / max(f + shift / span, MIN_TURNS_OF_WAVE / span)))
     return tuple(sorted(strongest))
 
 
@@ -125,7 +125,7 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
 
 def _between(cubic: np.ndarray, places: np.ndarray, rest: np.ndarray, f: float, step: float) -> float:
     """The frequency within a step of f whose wave, beside a cubic, leaves least of the residual."""
-    trial = f + step * np.linspace(-1.0, 1.0, 17)
+    trial = np.maximum(f + step * np.linspace(-1.0, 1.0, 17), MIN_TURNS_OF_WAVE / float(np.ptp(places)))
     return float(min(trial, key=lambda one: _squares(_residual(_residual(cubic, waves(places, one)), rest))))
 
 
@@ -133,8 +133,8 @@ def harmonics_of_few_places(at: np.ndarray, signal: np.ndarray) -> Iterator[tupl
     """Waves of a few places (1/length) that repeat, and which of their multiples stand out beside them (F test)."""
     places, index = np.unique(at, return_inverse=True)
     mean, span = np.bincount(index, signal) / np.bincount(index), float(places[-1] - places[0])
+    cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / (span or 1.0) - 1, 3)
     for f in waves_of_few_places(at, signal):
-        cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
         orders: list[float] = []
         block = np.column_stack([cubic, waves(places, f)])
         for k in MULTIPLES if f * span >= MIN_REPEATED_TURNS else ():

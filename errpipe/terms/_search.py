@@ -184,8 +184,11 @@ class Waves(Listed):
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
         _, span = resolved_lengths(recording, term.axis)
-        longest = min(1.0 / value, MIN_TURNS_OF_WAVE / span)
-        return 1.0 / np.unique(np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), longest))
+        fewest = min(1.0 / value, MIN_TURNS_OF_WAVE / span)
+        return 1.0 / np.unique(np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), fewest))
+
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        return 0.0, resolved_lengths(recording, term.axis)[1] / MIN_TURNS_OF_WAVE
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
         _, span = resolved_lengths(recording, term.axis)
@@ -222,6 +225,10 @@ class Widths(Listed):
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         _, span = resolved_lengths(recording, term.axis)
         return tuple(span * s for s in self.shares)
+
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        """To what the widest share is refined: a wider bell is a bow of the whole axis."""
+        return 0.0, float(np.exp(self.reach)) * self.shares[-1] * resolved_lengths(recording, term.axis)[1]
 
 
 @dataclass(frozen=True)

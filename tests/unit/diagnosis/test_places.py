@@ -81,6 +81,28 @@ def test_a_worn_stretch_may_take_half_of_the_travel():
     assert max(widths) == pytest.approx(0.12 * np.ptp(TARGETS))
 
 
+@pytest.mark.parametrize(
+    "smooth",
+    [
+        pytest.param(lambda x: 3 * np.sin(1.6 * np.pi * x / 320), id="0.8 turns"),
+        pytest.param(lambda x: 4 * ((x / 160 - 1) ** 2 - 1) ** 2, id="sag"),
+    ],
+)
+def test_a_smooth_curve_over_the_whole_travel_is_neither_a_wave_nor_a_worn_stretch(smooth):
+    """They fit it best at the end of what is searched, or beyond."""
+    said = positioning(TARGETS, "X", "mm", "EXX", smooth, lambda x: 0.02 * x)
+    likely = [f.effect for f in said.findings if f.confidence > 0.5]
+    assert not {"pitch_cyclic", "local_wear"} & {*likely}
+
+
+def test_no_wave_of_fewer_turns_than_are_searched_is_estimated():
+    """Its neighbours an eighth of a turn apart, and the best point between two of them, included."""
+    few = np.linspace(0.0, 320.0, 21)
+    for at in (few, np.linspace(0.0, 320.0, 200)):
+        found = periods(at, (np.sin(2 * np.pi * at / 280.0),))
+        assert found and max(found) <= 320 / 1.25 * (1 + 1e-9)
+
+
 def test_a_wave_with_another_one_that_the_simulation_holds():
     """The simulation knows that the disc is off centre; that it is oval, too, is another wave and no gain of it."""
     turn = np.pi / 180

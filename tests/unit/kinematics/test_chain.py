@@ -200,6 +200,8 @@ def test_axes_that_count_left_handed_are_refused_unless_it_is_stated():
     three_axes(axes=given | {"X": down}, left_handed=True)
     three_axes(axes=given | {"X": {**down, "errors_of": "carriage"}})
     three_axes(axes=given | {"X": down, "Y": back})
+    with pytest.raises(ValidationError, match=r"1 validation error"):  # of the statement alone
+        three_axes(axes=given | {"X": down}, left_handed="ja")
 
 
 def test_reversed_travel_is_refused():

@@ -137,9 +137,9 @@ def test_plain_text_holds_no_sign_of_any_language(title):
 @pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_a_remark_is_ascii_and_is_taken_off_again(target):
     files = target.write(machines.sample(target))
-    remarked = target.with_remarks(files, ["signed by J\u00fcrgen \u4f60\u597d: abc"])
+    remarked = target.with_remarks(files, ["signed by J\u00fcrgen \u4f60\u597d: 10\u00b2 \u00b5m"])
     assert all(text.isascii() for name, text in remarked.items() if files[name].isascii())
-    assert remarked == files or any("signed by Jurgen : abc" in text for text in remarked.values())
+    assert remarked == files or any("signed by Jurgen __: 10_ _m" in text for text in remarked.values())
     assert target.without_remarks(remarked) == files
 
 
