@@ -132,7 +132,9 @@ def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
     elif not used and len(names) == 2 and all(map(is_moment, (row[0] for row in rows[start:]))):
         names[1] = sheet.name  # of a logger with one sensor: `bed_temperature.csv`
-        notes.append(f"the file has no header: its column has the name of the file, {sheet.name!r}")
+        notes.append(
+            f"no header: the column has the name of the file or sheet, {sheet.name!r} (--names gives it another)"
+        )
     elif not used and "column 2" in names:
         notes.append("the file has no header: columns are numbered (--names gives them names)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]

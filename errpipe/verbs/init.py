@@ -128,7 +128,7 @@ def _data(file: str) -> str:
 def _filled(
     name: str, text: str, folder: Path, recording: Path | None, targets: Sequence[str]
 ) -> tuple[str, list[str]]:
-    """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why heat is in it."""
+    """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why its terms."""
     from errpipe.domain.manifest_text import scalar
     from errpipe.stages.targets import chosen
     from errpipe.verbs import _init_curve, _init_heat
