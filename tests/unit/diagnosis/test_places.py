@@ -8,8 +8,6 @@ import pytest
 from errpipe.diagnosis import diagnose
 from errpipe.terms._lines import at_targets, periods
 from errpipe.terms._place import direction_of
-from errpipe.terms._search import Signals, search_of
-from errpipe.terms.local_wear import LocalWear
 from errpipe.terms.scale_error import ScaleError
 from errpipe.terms.squareness import Squareness
 from errpipe.terms.straightness import Straightness
@@ -73,19 +71,13 @@ def test_a_wave_of_three_turns_that_is_no_sine_is_one_finding():
     assert np.hypot(by_name["sine_2"], by_name["cosine_2"]) == pytest.approx(1.1, rel=0.15)
 
 
-def test_a_worn_stretch_may_take_half_of_the_travel():
-    """About four widths."""
-    log = recording({"p": TARGETS}, {"p": {"role": "position", "axis": "X", "unit": "mm"}})
-    (wear,) = LocalWear.bind(log, "EXX")
-    widths = search_of(wear.nonlinear()[1]).values(wear, "width", log, Signals())
-    assert max(widths) == pytest.approx(0.12 * np.ptp(TARGETS))
-
-
 @pytest.mark.parametrize(
     "smooth",
     [
         pytest.param(lambda x: 3 * np.sin(1.6 * np.pi * x / 320), id="0.8 turns"),
         pytest.param(lambda x: 4 * ((x / 160 - 1) ** 2 - 1) ** 2, id="sag"),
+        pytest.param(lambda x: 4 * np.tanh((x - 250.0) / 40.0), id="step near an end"),
+        pytest.param(lambda x: 6 * np.exp(-x / 100.0), id="decay from an end"),
     ],
 )
 def test_a_smooth_curve_over_the_whole_travel_is_neither_a_wave_nor_a_worn_stretch(smooth):
