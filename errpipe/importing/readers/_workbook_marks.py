@@ -18,6 +18,8 @@ from errpipe.importing.readers._xml import root_of
 from errpipe.importing.sheet import Rows
 
 MOST_COMMENTS = 50  # of a sheet, as of remarks below a table
+MOST_PART_BYTES = 64 << 20  # of a part that is read at once (by judgement); sheets are read in blocks
+_BLOCK, _LONGEST_TAG = 1 << 20, 1 << 12  # bytes
 _CELL = re.compile(rb"<(?:\w+:)?c\s[^>]*>")
 _PLACE = re.compile(rb'\sr="([A-Z]{1,3})(\d{1,7})"')
 _STYLE = re.compile(rb'\ss="(\d{1,6})"')
@@ -44,11 +46,11 @@ def marks_of(path: Path) -> dict[str, Marks]:
         struck, scaled = _styles(path, book) if "xl/styles.xml" in names else (set(), set())
         parts = {key: target for key, _, target in _related(path, book, "xl/workbook.xml")}
         out = {}
-        for sheet in _found(root_of(path, book.read("xl/workbook.xml")), "sheet"):
+        for sheet in _found(_root(path, book, "xl/workbook.xml"), "sheet"):
             part = parts.get(next((v for k, v in sheet.attrib.items() if k.endswith("}id")), ""), "")
             if part in names:
                 marks = out[sheet.attrib.get("name", "")] = Marks(comments=_comments(path, book, part))
-                for place, style in _cells(book.read(part)) if struck or scaled else ():
+                for place, style in _cells(book, part) if struck or scaled else ():
                     marks.struck += [place] if style in struck else []
                     marks.scaled += [place] if style in scaled else []
         return out
@@ -81,7 +83,7 @@ def apply(rows: Rows, marks: Marks, where: str) -> list[str]:
 
 def _styles(path: Path, book: zipfile.ZipFile) -> tuple[set[int], set[int]]:
     """Numbers of the cell formats whose font is struck through, and of those that divide by 1000."""
-    root = root_of(path, book.read("xl/styles.xml"))
+    root = _root(path, book, "xl/styles.xml")
     codes = {f.attrib.get("numFmtId"): f.attrib.get("formatCode", "") for f in _found(root, "numFmt")}
     by_1000 = {k for k, code in codes.items() if _THOUSANDTHS.search(re.sub(r'"[^"]*"|\\.|;.*', "", code))}
     fonts = next(_found(root, "fonts"), ())
@@ -93,15 +95,28 @@ def _styles(path: Path, book: zipfile.ZipFile) -> tuple[set[int], set[int]]:
     return struck, {k for k, f in enumerate(formats) if f.attrib.get("numFmtId") in by_1000}
 
 
-def _cells(xml: bytes) -> Iterator[tuple[tuple[int, int], int]]:
+def _root(path: Path, book: zipfile.ZipFile, part: str) -> ElementTree.Element:
+    """The root of a part. Raises DataError for one that unpacks to more than `MOST_PART_BYTES`."""
+    if book.getinfo(part).file_size > MOST_PART_BYTES:  # zipfile stops at the stated size
+        raise DataError(f"{path}: {part} unpacks to more than {MOST_PART_BYTES >> 20} MB: save the sheet as CSV")
+    return root_of(path, book.read(part))
+
+
+def _cells(book: zipfile.ZipFile, part: str) -> Iterator[tuple[tuple[int, int], int]]:
     """Place and format of the cells of a sheet that have both."""
-    for cell in _CELL.finditer(xml):
-        place, style = _PLACE.search(cell.group()), _STYLE.search(cell.group())
-        if place and style:
-            column = 0
-            for letter in place[1]:
-                column = 26 * column + letter - ord("A") + 1
-            yield (int(place[2]) - 1, column - 1), int(style[1])
+    rest = b""
+    with book.open(part) as xml:
+        while block := xml.read(_BLOCK):
+            block = rest + block
+            end = max(block.rfind(b"<"), len(block) - _LONGEST_TAG)
+            rest = block[end:]  # a tag that the block cuts
+            for cell in _CELL.finditer(block[:end]):
+                place, style = _PLACE.search(cell.group()), _STYLE.search(cell.group())
+                if place and style:
+                    column = 0
+                    for letter in place[1]:
+                        column = 26 * column + letter - ord("A") + 1
+                    yield (int(place[2]) - 1, column - 1), int(style[1])
 
 
 def _comments(path: Path, book: zipfile.ZipFile, part: str) -> list[str]:
@@ -109,7 +124,7 @@ def _comments(path: Path, book: zipfile.ZipFile, part: str) -> list[str]:
     out = []
     for _, kind, target in _related(path, book, part):
         if kind.endswith("/comments") and target in book.namelist():
-            for comment in _found(root_of(path, book.read(target)), "comment"):
+            for comment in _found(_root(path, book, target), "comment"):
                 text = "".join(t.text or "" for t in _found(comment, "t"))
                 out += [line for line in text.splitlines() if line.strip()]
     return out[:MOST_COMMENTS]
@@ -121,7 +136,7 @@ def _related(path: Path, book: zipfile.ZipFile, part: str) -> list[tuple[str, st
     listing = f"{folder}/_rels/{name}.rels"
     if listing not in book.namelist():
         return []
-    related = [r.attrib for r in _found(root_of(path, book.read(listing)), "Relationship")]
+    related = [r.attrib for r in _found(_root(path, book, listing), "Relationship")]
     names = [posixpath.normpath(posixpath.join("/", folder, r.get("Target", ""))).lstrip("/") for r in related]
     return [(r.get("Id", ""), r.get("Type", ""), n) for r, n in zip(related, names, strict=True)]
 

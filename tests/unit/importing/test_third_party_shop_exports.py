@@ -13,6 +13,7 @@ from openpyxl.styles import Font
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.importing.readers import _workbook_marks
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows, prepared
 
 START = datetime(2025, 3, 12, 9)
@@ -130,6 +131,27 @@ def test_readings_that_are_struck_through_are_left_out(tmp_path: Path) -> None:
     book.save(tmp_path / "x.xlsx")
     assert any(f"(the first: A{sheet.max_row})" in n for n in prepared([tmp_path / "x.xlsx"])[0].notes)
     holds_the_truth(imported(tmp_path, tmp_path / "x.xlsx"))
+
+
+def test_struck_cells_are_found_wherever_a_block_of_the_sheet_ends(tmp_path: Path, monkeypatch) -> None:
+    book, sheet = workbook(tmp_path)
+    for cell in sheet[5]:
+        cell.font = Font(strike=True)
+    book.save(tmp_path / "x.xlsx")
+    (expected,) = _workbook_marks.marks_of(tmp_path / "x.xlsx").values()
+    assert expected.struck == [(4, column) for column in range(4)]
+    monkeypatch.setattr(_workbook_marks, "_BLOCK", 17)
+    (marks,) = _workbook_marks.marks_of(tmp_path / "x.xlsx").values()
+    assert marks.struck == expected.struck
+
+
+def test_a_workbook_whose_comments_unpack_without_end_is_refused(tmp_path: Path, monkeypatch) -> None:
+    book, sheet = workbook(tmp_path)
+    sheet["D1"].comment = Comment("0" * 9000, "Roth")
+    book.save(tmp_path / "x.xlsx")
+    monkeypatch.setattr(_workbook_marks, "MOST_PART_BYTES", 8000)
+    with pytest.raises(DataError, match=r"comments/comment1\.xml unpacks to more than"):
+        prepared([tmp_path / "x.xlsx"])
 
 
 def test_numbers_that_are_shown_divided_by_1000_are_refused(tmp_path: Path) -> None:
