@@ -20,7 +20,7 @@ from errpipe.yamlfile import quantity
 
 Vector = tuple[float, float, float]
 LETTERS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-LIKE = {"U": "X", "V": "Y", "W": "Z", "P": "X", "Q": "Y", "R": "Z", "A": "X", "B": "Y", "C": "Z"}
+PARALLEL_AXIS = {"U": "X", "V": "Y", "W": "Z", "P": "X", "Q": "Y", "R": "Z", "A": "X", "B": "Y", "C": "Z"}
 
 
 def _unit_vector(value: Vector) -> Vector:
@@ -164,7 +164,7 @@ class Machine(FrozenModel):
         if unused:
             raise ValueError(f"axes {', '.join(unused)} are not in the chain")
         for name, axis in self.axes.items():
-            if axis.direction is None and name[0] not in LETTERS and name[0] not in LIKE:
+            if axis.direction is None and name[0] not in LETTERS and name[0] not in PARALLEL_AXIS:
                 raise ValueError(f"axis {name} has no letter of ISO 841; give its direction")
         linear = {n for n, a in self.axes.items() if a.kind == "linear"}
         if self.datum_axes and (set(self.datum_axes) != linear or len(self.datum_axes) != len(linear)):
@@ -202,7 +202,7 @@ class Machine(FrozenModel):
     def direction(self, name: str) -> Vector:
         """Unit vector of an axis in machine coordinates."""
         own = self.axes[name].direction
-        return LETTERS[LIKE.get(name[0], name[0])] if own is None else own
+        return LETTERS[PARALLEL_AXIS.get(name[0], name[0])] if own is None else own
 
     def mount(self) -> Vector:
         """Point the tool is measured from."""

@@ -266,14 +266,14 @@ def _since_first(texts: list[str], forms: tuple[str, ...]) -> tuple[np.ndarray, 
             return out, start.isoformat(), form
         rows = np.flatnonzero(np.isfinite(out))
         steps = np.diff(out[rows])
-        day = _HALF_A_DAY if _of_twelve_hours([s for s in stamps if s is not None], steps) else 2.0 * _HALF_A_DAY
+        day = _HALF_A_DAY if _is_twelve_hour_clock([s for s in stamps if s is not None], steps) else 2.0 * _HALF_A_DAY
         for step in np.flatnonzero(steps < (0.0 if day == _HALF_A_DAY else -_HALF_A_DAY)):
             out[rows[step + 1 :]] += day  # a clock without a date passed midnight, or noon
         return out, None, form
     return None
 
 
-def _of_twelve_hours(stamps: list[datetime], steps: np.ndarray) -> bool:
+def _is_twelve_hour_clock(stamps: list[datetime], steps: np.ndarray) -> bool:
     """Whether a clock shows 1:00 after 12:55, each time: it has hours 1 to 12, and no word for the afternoon."""
     usual, back = float(np.median(steps)) if steps.size else 0.0, steps[steps < 0.0]
     hours = {s.hour for s in stamps}

@@ -107,7 +107,7 @@ def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     stated: names of the columns of a file without a header, from the user.
     """
     rows = [row for row in sheet.rows if filled_cells(row) and not _is_rule(row)]
-    rows = _of_a_pivot(_named_by_marks(rows))
+    rows = _of_a_pivot(_with_marked_header(rows))
     rows, unit_in_cells = _without_units(rows)
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
@@ -151,7 +151,7 @@ def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     return laid
 
 
-def _named_by_marks(rows: Rows) -> Rows:
+def _with_marked_header(rows: Rows) -> Rows:
     """The rows with their names first, where marks tell them from types: TOA5 of data loggers, `#NAMES` of Ignition."""
     first = [label(row[0]) for row in rows[:DEEPEST_HEADER]]
     if len(rows) > 4 and first[0] == "TOA5":  # names, units, and how values were sampled

@@ -32,7 +32,7 @@ def add_logs(p: Proposal, parts: Mapping[Path, Proposal], inside: Mapping[Path, 
     inside: the folders of a file within a folder or archive from the user.
     """
     stems = dict(zip(parts, names_of_files([*parts], inside), strict=True))
-    devices = [[stems[file] for file in files] for files in _of_one_log(parts, stems)]
+    devices = [[stems[file] for file in files] for files in _group_by_device(parts, stems)]
     by_name = {stems[file]: part for file, part in parts.items()}
     logs = [concatenate_files([by_name[name] for name in names], names) for names in devices]
     times = {log.first("time") for log in logs}
@@ -41,7 +41,7 @@ def add_logs(p: Proposal, parts: Mapping[Path, Proposal], inside: Mapping[Path, 
         _add_log(p, log, names, {name for name, devices_of in count.items() if devices_of > 1})
 
 
-def _of_one_log(parts: Mapping[Path, Proposal], stems: Mapping[Path, str]) -> list[list[Path]]:
+def _group_by_device(parts: Mapping[Path, Proposal], stems: Mapping[Path, str]) -> list[list[Path]]:
     """Files without deviations by log: a logger writes a file a day, and some may lack a temperature of the others.
 
     stems: names of the files. Raises DataError where several devices may have written a file.
@@ -53,7 +53,7 @@ def _of_one_log(parts: Mapping[Path, Proposal], stems: Mapping[Path, str]) -> li
         fitting = [
             group
             for group in groups
-            if all(_of_one_logger(parts[o], parts[f], periods[o], periods[f]) for o in group for f in files)
+            if all(_is_same_logger(parts[o], parts[f], periods[o], periods[f]) for o in group for f in files)
         ]
         if len(fitting) > 1:
             raise DataError(
@@ -83,7 +83,7 @@ def _first_and_last(p: Proposal) -> Period:
     return start + timedelta(seconds=float(np.nanmin(seconds))), start + timedelta(seconds=float(np.nanmax(seconds)))
 
 
-def _of_one_logger(whole: Proposal, part: Proposal, here: Period, there: Period) -> bool:
+def _is_same_logger(whole: Proposal, part: Proposal, here: Period, there: Period) -> bool:
     """Whether two logs have the same columns, or the second lacks temperatures, and they are of different periods.
 
     In one period two files of one layout are of two devices, unless their readings of equal times are equal.
@@ -94,10 +94,10 @@ def _of_one_logger(whole: Proposal, part: Proposal, here: Period, there: Period)
         return alike  # refused, with the reason, where they are merged
     if not alike and (part.first("temperature") is None or lacking(whole, part) is None):
         return False
-    return here[1] < there[0] or there[1] < here[0] or (alike and _written_twice(whole, part))
+    return here[1] < there[0] or there[1] < here[0] or (alike and _has_equal_readings(whole, part))
 
 
-def _written_twice(whole: Proposal, part: Proposal) -> bool:
+def _has_equal_readings(whole: Proposal, part: Proposal) -> bool:
     """Whether two logs with dates have times in common, and equal readings at all of these."""
     start, own, time = epoch_of(whole), epoch_of(part), whole.first("time") or ""
     here, there = whole.data[time], part.data[time]
@@ -148,7 +148,7 @@ def _add_log(p: Proposal, log: Proposal, stems: Sequence[str], of_several: Colle
     names: dict[str, str] = {}
     for n in (str(n) for n in logged if n != log_time):
         name = slug(f"{stem}_{n}") if n in p.entries or n in of_several else n
-        names[n] = _not_in({*p.entries, *names.values()}, name)
+        names[n] = _unused_name({*p.entries, *names.values()}, name)
     logged = logged.rename(columns={log_time: time, **names})
     if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):
         values = logged.drop(columns=time).reindex(np.where(fresh, latest, -1)).reset_index(drop=True)
@@ -166,7 +166,7 @@ def _add_log(p: Proposal, log: Proposal, stems: Sequence[str], of_several: Colle
     p.data = {n: both[n].to_numpy(float) if numeric[n] else both[n].fillna("").tolist() for n in both}
 
 
-def _not_in(taken: Collection[str], name: str) -> str:
+def _unused_name(taken: Collection[str], name: str) -> str:
     """The name, or the first of name_2, name_3 ... that is free: `bed-1` and `bed 1` are `bed_1` as columns."""
     return next(n for n in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if n not in taken)
 

@@ -144,15 +144,15 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     max_count = min(MAX_COMPARED, (baseline.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
     if max_count < 2:
         return _one_by_one(baseline, held, "the table has too few free nodes for a comparison", scheme)
-    influence = _influences(baseline, held)
-    names = _most(influence, max_count)
+    influence = _influence_of_each(baseline, held)
+    names = _most_influential(influence, max_count)
     free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
     others = {n: of for n, of in influence.items() if n not in names}
     free -= sum(isinstance(n, LagNode) for n in baseline.plain.nodes)  # a node more for each
     count = (free - NODES_HELD * len(others)) // (NODES_KEPT - NODES_HELD)  # the others may be held
-    kept = _most(others, max(count, 0)) if len(names) > 1 else ()
+    kept = _most_influential(others, max(count, 0)) if len(names) > 1 else ()
     unmonitored = {n: of for n, of in others.items() if n not in kept}
-    little = _of_little(unmonitored, free - NODES_KEPT * len(kept))
+    little = _held_sensors(unmonitored, free - NODES_KEPT * len(kept))
     if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
@@ -171,13 +171,13 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
         f"{len(names)} temperatures are monitored against each other, and replace one that fails{_ranges(accuracy)}"
     )
     sentence += f"; {len(kept)} of less influence are {KEPT}" if kept else ""
-    sentence += _of_unmonitored(unmonitored, guard)
+    sentence += _unmonitored_sentence(unmonitored, guard)
     fading = [s.name for s in guard.sensors if not s.stands_in]
     sentence += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
     return TableGuard(guard, sentence, document | {"held": list(guard.held)})
 
 
-def _of_unmonitored(names: Collection[str], guard: SensorGuard) -> str:
+def _unmonitored_sentence(names: Collection[str], guard: SensorGuard) -> str:
     """What a table does if a temperature that its guard leaves out is lost, in words."""
     fades = len(names) - len(guard.held)
     sentence = (
@@ -188,7 +188,7 @@ def _of_unmonitored(names: Collection[str], guard: SensorGuard) -> str:
     return sentence + (f"; {fades} of less influence are not; the correction fades if one is lost" if fades else "")
 
 
-def _influences(baseline: Baseline, held: Recording) -> dict[str, tuple[float, float]]:
+def _influence_of_each(baseline: Baseline, held: Recording) -> dict[str, tuple[float, float]]:
     """Temperature -> what is changed if it stays as at each start: relative cost; largest change, of the uncompensated
     rms. In the recording's order."""
     predicted, run = baseline.predicted(baseline.plain, held), held.run_codes()
@@ -204,13 +204,13 @@ def _influences(baseline: Baseline, held: Recording) -> dict[str, tuple[float, f
     return out
 
 
-def _most(influence: Mapping[str, tuple[float, float]], count: int) -> tuple[str, ...]:
+def _most_influential(influence: Mapping[str, tuple[float, float]], count: int) -> tuple[str, ...]:
     """The `count` temperatures with the largest effect on the table, in the recording's order."""
     ranked = sorted(influence, key=lambda n: influence[n][0], reverse=True)[:count]
     return tuple(n for n in influence if n in ranked)
 
 
-def _of_little(influence: Mapping[str, tuple[float, float]], free: int) -> tuple[str, ...]:
+def _held_sensors(influence: Mapping[str, tuple[float, float]], free: int) -> tuple[str, ...]:
     """Temperatures, those of the smallest effect first, that together change the table by at most `MAX_HELD`.
 
     free: nodes of the table.
@@ -344,10 +344,10 @@ def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | Non
     max_count = min(MAX_INDIVIDUAL, baseline.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
-    influence = _influences(baseline, held)
-    names = _most(influence, max_count)
+    influence = _influence_of_each(baseline, held)
+    names = _most_influential(influence, max_count)
     unmonitored = {n: of for n, of in influence.items() if n not in names}
-    little = _of_little(unmonitored, baseline.free_nodes() - len(names) * (NODES_ALONE + _nodes_of_rules()))
+    little = _held_sensors(unmonitored, baseline.free_nodes() - len(names) * (NODES_ALONE + _nodes_of_rules()))
     try:
         guard, folds = _learn(held, names, scheme, learn.limits)
     except DataError as lacking:
@@ -358,7 +358,7 @@ def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | Non
     symptoms = ", or ".join(rule.symptom for rule in RULES)
     sentence = f"each temperature is monitored by itself ({why}): the correction fades if one {symptoms}"
     document = {"watched": list(names), "stand_in": [], "cost": cost, "why": why, "held": list(guard.held)}
-    return TableGuard(guard, sentence + _of_unmonitored(unmonitored, guard), document)
+    return TableGuard(guard, sentence + _unmonitored_sentence(unmonitored, guard), document)
 
 
 def _nodes_of_rules() -> int:

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from errpipe.domain.components import is_rotary
-from errpipe.domain.machine import LETTERS, LIKE
+from errpipe.domain.machine import LETTERS, PARALLEL_AXIS
 from errpipe.domain.table import CompensationTable
 from errpipe.fitting.statistics import rms
 from errpipe.guard.in_table import without_guard
@@ -26,7 +26,7 @@ MUCH, LITTLE = 0.05, 0.5  # share, and um: files that are worse than none by les
 # Share of `validation.machine.MIN_IMPROVEMENT`, and um that a format may round: more is remarked by `turning`.
 TURNS_BY, ROUNDED = 0.01, 0.1
 UM = 1e3  # per mm (thousandths of a degree per degree)
-CARTESIAN = LETTERS | {letter: LETTERS[LIKE[letter]] for letter in "UVW"}
+DIRECTIONS = LETTERS | {letter: LETTERS[PARALLEL_AXIS[letter]] for letter in "UVW"}
 Mean = tuple[np.ndarray, float]  # values and a mean of others
 # Positions of axes, each (n,) -> linear axes, motion of the tool point per mm of each (n, 3, axes), and the tool point
 # (n, 3) in mm, in the workpiece's frame.
@@ -127,7 +127,7 @@ def turning(table: CompensationTable, read: ReadBack, motion: Motion | None = No
     out: axes along X, Y, Z, and nothing is said of a table with rotary axes. Temperatures are as usual.
     """
     known, outputs = _sample.positions_of(table), _sample.outputs_by_axis(table)
-    along = all(axis[0] in CARTESIAN for axis in (*known, *outputs))
+    along = all(axis[0] in DIRECTIONS for axis in (*known, *outputs))
     if len(known) < 2 or not (motion or along):
         return {}
     states, side = _states(table, np.random.default_rng(1))
@@ -152,7 +152,7 @@ def turning(table: CompensationTable, read: ReadBack, motion: Motion | None = No
 
 def _cartesian(at: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """`Motion` of axes along X, Y, Z by their letters."""
-    directions = np.array([CARTESIAN[axis[0]] for axis in at])
+    directions = np.array([DIRECTIONS[axis[0]] for axis in at])
     per_mm = np.broadcast_to(directions.T, (STATES, 3, len(at)))
     return tuple(at), per_mm, np.stack(list(at.values()), axis=1) @ directions
 

@@ -189,7 +189,7 @@ def compete(
     if ahead:
         chooser = _within_run_predictions(entrants, groups, response, rows, group)
     further = [judged[w.name] for w in ways if w.decides and w.name != RUN and w.name in judged]
-    judges = _decisive(chooser, further, run) if further and run is not None else [(chooser, 1.0)]
+    judges = _weighted_holdouts(chooser, further, run) if further and run is not None else [(chooser, 1.0)]
     left_by = _mean_square(judges)
     score = np.where(_admitted(judged, {w.name for w in ways if w.decides}), left_by, np.inf)
     if one_environment:
@@ -202,7 +202,7 @@ def compete(
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _plain(entrants, judged) if ahead else {}
     admitted = [k for k in ranked if np.isfinite(score[k])]
-    weights = weights or _stacked(admitted, _joined(judges, admitted))
+    weights = weights or _stacked(admitted, _combined(judges, admitted))
     named: dict[str, dict[int, float]] = (
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )
@@ -262,7 +262,7 @@ class _HeldOutPredictions:
         return float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
 
 
-def _decisive(
+def _weighted_holdouts(
     near: _HeldOutPredictions, further: Sequence[_HeldOutPredictions], run: np.ndarray
 ) -> list[tuple[_HeldOutPredictions, float]]:
     """Held-out runs and environments, each also counted from a run's first reading as a table does, with weights."""
@@ -278,7 +278,7 @@ def _mean_square(judges: Sequence[tuple[_HeldOutPredictions, float]]) -> np.ndar
     return np.asarray(np.exp(sum(weight * np.log(np.maximum(judge.mean_square(), EXACT)) for judge, weight in judges)))
 
 
-def _joined(judges: Sequence[tuple[_HeldOutPredictions, float]], admitted: Sequence[int]) -> _HeldOutPredictions:
+def _combined(judges: Sequence[tuple[_HeldOutPredictions, float]], admitted: Sequence[int]) -> _HeldOutPredictions:
     """The rows of all, scaled so that each has its weight whatever it leaves."""
     if len(judges) == 1 or not admitted:
         return judges[0][0]

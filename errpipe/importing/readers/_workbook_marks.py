@@ -46,7 +46,7 @@ def marks_of(path: Path) -> dict[str, Marks]:
         struck, scaled = _styles(path, book) if "xl/styles.xml" in names else (set(), set())
         parts = {key: target for key, _, target in _related(path, book, "xl/workbook.xml")}
         out = {}
-        for sheet in _found(_root(path, book, "xl/workbook.xml"), "sheet"):
+        for sheet in _elements(_root(path, book, "xl/workbook.xml"), "sheet"):
             part = parts.get(next((v for k, v in sheet.attrib.items() if k.endswith("}id")), ""), "")
             if part in names:
                 marks = out[sheet.attrib.get("name", "")] = Marks(comments=_comments(path, book, part))
@@ -56,7 +56,7 @@ def marks_of(path: Path) -> dict[str, Marks]:
         return out
 
 
-def apply(rows: Rows, marks: Marks, where: str) -> list[str]:
+def remove_struck_cells(rows: Rows, marks: Marks, where: str) -> list[str]:
     """Empty the cells that are struck through, in place; a note on them.
 
     Raises DataError for a number shown divided by 1000: whether its unit is that of the value or of what is shown, the
@@ -84,11 +84,11 @@ def apply(rows: Rows, marks: Marks, where: str) -> list[str]:
 def _styles(path: Path, book: zipfile.ZipFile) -> tuple[set[int], set[int]]:
     """Numbers of the cell formats whose font is struck through, and of those that divide by 1000."""
     root = _root(path, book, "xl/styles.xml")
-    codes = {f.attrib.get("numFmtId"): f.attrib.get("formatCode", "") for f in _found(root, "numFmt")}
+    codes = {f.attrib.get("numFmtId"): f.attrib.get("formatCode", "") for f in _elements(root, "numFmt")}
     by_1000 = {k for k, code in codes.items() if _THOUSANDTHS.search(re.sub(r'"[^"]*"|\\.|;.*', "", code))}
-    fonts = next(_found(root, "fonts"), ())
-    lines = [next(_found(font, "strike"), None) for font in fonts]
-    formats = [*next(_found(root, "cellXfs"), ())]
+    fonts = next(_elements(root, "fonts"), ())
+    lines = [next(_elements(font, "strike"), None) for font in fonts]
+    formats = [*next(_elements(root, "cellXfs"), ())]
     of_font = [int(f.attrib.get("fontId", 0)) for f in formats]
     drawn = [line is not None and line.attrib.get("val", "1") in ("1", "true") for line in lines]
     struck = {k for k, font in enumerate(of_font) if font < len(drawn) and drawn[font]}
@@ -124,8 +124,8 @@ def _comments(path: Path, book: zipfile.ZipFile, part: str) -> list[str]:
     out = []
     for _, kind, target in _related(path, book, part):
         if kind.endswith("/comments") and target in book.namelist():
-            for comment in _found(_root(path, book, target), "comment"):
-                text = "".join(t.text or "" for t in _found(comment, "t"))
+            for comment in _elements(_root(path, book, target), "comment"):
+                text = "".join(t.text or "" for t in _elements(comment, "t"))
                 out += [line for line in text.splitlines() if line.strip()]
     return out[:MOST_COMMENTS]
 
@@ -136,12 +136,12 @@ def _related(path: Path, book: zipfile.ZipFile, part: str) -> list[tuple[str, st
     listing = f"{folder}/_rels/{name}.rels"
     if listing not in book.namelist():
         return []
-    related = [r.attrib for r in _found(_root(path, book, listing), "Relationship")]
+    related = [r.attrib for r in _elements(_root(path, book, listing), "Relationship")]
     names = [posixpath.normpath(posixpath.join("/", folder, r.get("Target", ""))).lstrip("/") for r in related]
     return [(r.get("Id", ""), r.get("Type", ""), n) for r, n in zip(related, names, strict=True)]
 
 
-def _found(root: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
+def _elements(root: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
     """The elements of a tag, in whichever of the namespaces of the two editions of the standard."""
     return (e for e in root.iter() if e.tag.rpartition("}")[2] == tag)
 

@@ -92,7 +92,7 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
         rows = _bounded(cells, path)
     except csv.Error as err:
         raise DataError(f"{path}: not a table: {err}") from None
-    _name_row_names(rows)
+    _name_column_of_row_names(rows)
     if separator != " ":
         _refuse_short_rows(path, rows)
     if separator == ",":
@@ -111,7 +111,7 @@ def _quotes_words(lines: list[str]) -> bool:
     return bool(filled) and all(re.fullmatch(r'("[^"]*"|[^\s"]+)( ("[^"]*"|[^\s"]+))+', x) and '"' in x for x in filled)
 
 
-def _name_row_names(rows: Rows) -> None:
+def _name_column_of_row_names(rows: Rows) -> None:
     """Name the first column, in place, if R wrote its row names 1, 2, 3 ... and no name above them."""
     width = len(rows[0]) + 1 if rows else 0
     if width < 3 or len(rows) < MIN_WHOLE_ROWS or any(map(_figure, rows[0])):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from errpipe.errors import UsageError, did_you_mean
-from errpipe.importing.readers._workbook_marks import Marks, apply, marks_of
+from errpipe.importing.readers._workbook_marks import Marks, marks_of, remove_struck_cells
 from errpipe.importing.sheet import ReaderOptions, Rows, Sheet, affordable, cell_of, readable
 from errpipe.importing.signs import states_a_sign
 
@@ -49,7 +49,7 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
             affordable(sheet.total_height * sheet.total_width, f"{path}: {each}")
             rows = [[cell_of(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]
             shown = marks.get(each, Marks())
-            notes = apply(rows, shown, f"{path}: {each}")
+            notes = remove_struck_cells(rows, shown, f"{path}: {each}")
             rows = _with_merged_numbers(rows, sheet.merged_cell_ranges)
             on_the_sign = [line for line in shown.comments if states_a_sign(line)]  # others are remarks on a cell
             sheets.append(Sheet(each, rows, notes=notes, above=on_the_sign))

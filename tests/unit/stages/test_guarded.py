@@ -236,7 +236,7 @@ def test_temperatures_of_little_influence_are_held_and_others_fade(kept):
     taken = len(judge.compiled(found.guard).nodes) - len(judge.compiled(fading.guard).nodes)
     assert taken == 3 * _guarded.NODES_HELD
     little = {f"T_{k}": (0.0, 0.1) for k in range(4)}
-    assert len(_guarded._of_little(little, 3)) == 3 and not _guarded._of_little(little, -1)
+    assert len(_guarded._held_sensors(little, 3)) == 3 and not _guarded._held_sensors(little, -1)
     fresh = nine(4, 6)
     gone = fresh.with_columns({"T_9": np.where(fresh.time() >= 7200.0, np.nan, fresh.array("T_9"))}, {})
     last = fresh.time() == fresh.time().max()
