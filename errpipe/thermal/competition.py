@@ -49,8 +49,8 @@ PLAIN_REGRET = 3.0
 PHYSICAL_REGRET, PHYSICAL_LEVEL = 1.5, 0.025
 # Weight of held-out environments, and of residuals that count from one reading as a table does instead of from the mean
 # of several. Chosen on seeds 8811 and 48811 of `trials.thermal` (36 machines) and 16 machines of eight other kinds:
-# third season 0.995 and 0.97 of the residual by runs and means alone; unseen 0.99 (seed 48812, 24), 0.95 (eight). 0.5
-# and 0 1.03, 0.96; 0 and 0.5 0.98, 1.02.
+# third season 0.995 and 0.97 of the residual by runs and means alone; unseen 1.007 (seed 48812, 24 machines; 0.99 from
+# one reading) and 0.95 (eight of other kinds, true residual). 0.5 and 0: 1.03, 0.96; 0 and 0.5: 0.98, 1.02.
 FURTHER, AT_ONCE = 0.25, 0.25
 EXACT = 1e-9  # um2: below it a mean square is rounding
 WHOLE = 1e3  # weight of the row that fixes the sum of weights at one, relative to rows of unit mean square
