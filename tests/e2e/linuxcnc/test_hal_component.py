@@ -219,7 +219,9 @@ def test_a_thread_of_another_rate_moves_nothing_and_says_so(folder):
     assert (code, wrong, float(moved)) == (0, "TRUE", 0.0) and int(beats, 0) > 10
 
 
-@pytest.mark.parametrize("allowed", [True, False], ids=["own", "other"])
+@pytest.mark.parametrize(
+    "allowed", [pytest.param(True, id="own", marks=pytest.mark.slow), pytest.param(False, id="other")]
+)
 def test_only_the_allowed_table_moves(folder, allowed):
     only = int(ect.fingerprint(table()), 16) + (0 if allowed else 1)
     code = halrun(

@@ -90,6 +90,7 @@ def test_what_is_left_of_a_coarse_reading_may_be_its_rounding(step, noise, round
         own_noise.residual = residual
 
 
+@pytest.mark.slow
 def test_a_rounded_trend_lacks_nothing():
     """One pass over 800 mm with a display whose step is a twelfth of the trend: the rounding is a wave of 70 mm."""
     rng, x = np.random.default_rng(1), np.linspace(0, 800, 300)

@@ -142,6 +142,7 @@ def test_in_a_competition_its_table_is_what_was_judged():
         assert entrant.predict(tuple(problem.groups)) == pytest.approx(compiled, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_competition_is_judged_on_whole_runs():
     (component,) = held_out(recording(), BESIDE)["components"]
     assert component["rms_after"] < 0.3 * component["rms_before"]

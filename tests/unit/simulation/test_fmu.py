@@ -189,7 +189,7 @@ def test_sessions_start_anew_and_runs_in_a_row_do_not(model: Path) -> None:
     "mode, message",
     [
         (1, r"simulating it, its process ended by itself \(SIGSEGV\)"),
-        (2, r"simulating it took longer than 2 s \(time_limit\); it was ended"),
+        pytest.param(2, r"simulating it took longer than 2 s \(time_limit\); it was ended", marks=pytest.mark.slow),
         (3, r"simulating it"),
         (4, r"simulating it failed.*"),
         (5, r"199 of 200 recorded rows have no simulated value.*not finite"),

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from trials import pooled
 
 
+@pytest.mark.slow
 def test_a_machine_with_two_runs_is_better_off_with_its_type() -> None:
     ((_, (nothing, own, together)),) = pooled.of_fleets(seed=1, fleets=1, first=3)
     assert together < 0.5 * own and together < 0.5 * nothing

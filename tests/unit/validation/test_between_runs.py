@@ -81,6 +81,7 @@ def test_a_machine_that_warms_up_drifts_and_takes_no_step(constant: float) -> No
         )
 
 
+@pytest.mark.slow
 def test_random_walks_take_no_step() -> None:
     def walk(seed: int) -> np.ndarray:
         return noise(seed) + np.cumsum(3.0 * np.random.default_rng(seed).standard_normal((RUNS, 1)), axis=0) * X / 800.0
