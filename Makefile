@@ -82,6 +82,9 @@ trials-thermal: $(SETUP) ## thermal model families on simulated machines, judged
 trials-volumetric: $(SETUP) ## every measuring protocol on simulated machines: is anything exported worse than nothing?
 	@$(BIN)/python -m trials.volumetric $(ARGS)
 
+trials-faults: $(SETUP) ## sensors and controllers that fail in use: is a table then worse than nothing?
+	@$(BIN)/python -m trials.faults_in_use --seed $(SEED) $(ARGS)
+
 trials-examples: $(SETUP) ## the examples on machines drawn by seed: is anything exported worse than nothing?
 	@$(BIN)/python -m trials.examples $(ARGS)
 

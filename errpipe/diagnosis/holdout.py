@@ -32,7 +32,7 @@ class HeldOut:
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
     `after`, of the findings alone; bare, textbook: as `named`, without findings, and with their textbook forms only;
     often: effects selected in at least half of the folds; again: was the search repeated? Not for partial effects;
-    trimmed: `before` and `after` without the blocks in which a fold's names extrapolate.
+    trimmed: `before` and `after` without the blocks in which names do most harm (`_without_worst_blocks`).
     """
 
     scheme: str

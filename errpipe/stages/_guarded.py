@@ -144,7 +144,7 @@ def choose_guard(baseline: Baseline, scheme: str | None) -> TableGuard:
     max_count = min(MAX_COMPARED, (baseline.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
     if max_count < 2:
         return _one_by_one(baseline, held, "the table has too few free nodes for a comparison", scheme)
-    influence = _influence_of_each(baseline, held)
+    influence = _influence_of_each(baseline, held, max_count)
     names = _most_influential(influence, max_count)
     free = baseline.free_nodes() - NODES_BESIDE - len(names) * (NODES_COMPARED + _nodes_of_rules())
     others = {n: of for n, of in influence.items() if n not in names}
@@ -188,13 +188,16 @@ def _unmonitored_sentence(names: Collection[str], guard: SensorGuard) -> str:
     return sentence + (f"; {fades} of less influence are not; the correction fades if one is lost" if fades else "")
 
 
-def _influence_of_each(baseline: Baseline, held: Recording) -> dict[str, tuple[float, float]]:
+def _influence_of_each(baseline: Baseline, held: Recording, count: int) -> dict[str, tuple[float, float]]:
     """Temperature -> what is changed if it stays as at each start: relative cost; largest change, of the uncompensated
-    rms. In the recording's order."""
+    rms. In the recording's order; zeros where there are `count` at most, since none has to be left out."""
+    names = sensors_read(baseline.plain, held)
+    if len(names) <= count:
+        return dict.fromkeys(names, (0.0, 0.0))
     predicted, run = baseline.predicted(baseline.plain, held), held.run_codes()
     first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
     out = {}
-    for name in sensors_read(baseline.plain, held):
+    for name in names:
         stuck = baseline.predicted(baseline.plain, held.with_columns({name: held.array(name)[first]}, {}))
         largest = max(
             float(np.nanmax(np.abs(values - predicted[c]), initial=0.0)) / max(baseline.before.get(c, 0.0), 1e-9)
@@ -344,7 +347,7 @@ def _one_by_one(baseline: Baseline, held: Recording, why: str, scheme: str | Non
     max_count = min(MAX_INDIVIDUAL, baseline.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
-    influence = _influence_of_each(baseline, held)
+    influence = _influence_of_each(baseline, held, max_count)
     names = _most_influential(influence, max_count)
     unmonitored = {n: of for n, of in influence.items() if n not in names}
     little = _held_sensors(unmonitored, baseline.free_nodes() - len(names) * (NODES_ALONE + _nodes_of_rules()))
